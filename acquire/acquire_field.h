@@ -1,0 +1,27 @@
+// A capture to an SRF folder: silhouettes, hull, registered views. What `srf acquire` and `srf pipeline` call.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "acquire/silhouette.h"
+#include "acquire/visual_hull.h"
+#include "field/srf_folder.h"
+
+namespace srf {
+
+struct AcquireOptions {
+  SilhouetteOptions silhouette;
+  HullOptions hull;
+  bool make_hull = true;       ///< false where the model will come from another shape
+  bool compress = true;
+  std::size_t memory_bytes = std::size_t{1} << 30;
+  std::string command;         ///< recorded in the manifest
+};
+
+/// Writes `out` (X.srf) and returns its manifest. An existing SRF there is replaced only when the new one is whole;
+/// a folder that is not an SRF is refused. Views finished by an interrupted run of the same input and options are kept.
+SrfManifest acquireField(const Capture& capture, const std::filesystem::path& out, const AcquireOptions& options,
+                         Reporter& reporter);
+
+}  // namespace srf

@@ -1,0 +1,58 @@
+// Numbers and vectors that change over the frames: {"keys": [[frame, value], ...], "interpolation": ...}.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <vector>
+
+#include "base/json.h"
+
+namespace srf {
+
+enum class KeyInterpolation { linear, step, cubic };
+
+/// A value of type T (double, Vec3, or std::vector<Vec3> of constant size through its components) over frames. Before the
+/// first and after the last key the value holds.
+template <class T>
+class Animated {
+ public:
+  Animated() = default;
+  Animated(const T& constant) : keys_{{0.0, constant}} {}  // NOLINT(google-explicit-constructor)
+  Animated(std::vector<std::pair<double, T>> keys, KeyInterpolation interpolation)
+      : keys_(std::move(keys)), interpolation_(interpolation) {}
+
+  bool constant() const { return keys_.size() <= 1; }
+  const std::vector<std::pair<double, T>>& keys() const { return keys_; }
+
+  /// `cubic` is Catmull-Rom through the keys (tangents from the neighbours' times), one-sided at the ends.
+  T at(double frame) const {
+    if (keys_.empty()) return T{};
+    if (keys_.size() == 1 || frame <= keys_.front().first) return keys_.front().second;
+    if (frame >= keys_.back().first) return keys_.back().second;
+    std::size_t i = 1;
+    while (keys_[i].first <= frame) ++i;
+    const auto& [t0, a] = keys_[i - 1];
+    const auto& [t1, b] = keys_[i];
+    const double h = t1 - t0, t = (frame - t0) / h;
+    if (interpolation_ == KeyInterpolation::step) return a;
+    if (interpolation_ == KeyInterpolation::linear) return a + (b - a) * t;
+    const T m0 = slope(i - 1), m1 = slope(i);
+    const double t2 = t * t, t3 = t2 * t;
+    return a * (2 * t3 - 3 * t2 + 1) + m0 * (h * (t3 - 2 * t2 + t)) + b * (3 * t2 - 2 * t3) + m1 * (h * (t3 - t2));
+  }
+
+ private:
+  T slope(std::size_t i) const {
+    const std::size_t lo = i == 0 ? 0 : i - 1, hi = std::min(i + 1, keys_.size() - 1);
+    return (keys_[hi].second - keys_[lo].second) * (1.0 / (keys_[hi].first - keys_[lo].first));
+  }
+  std::vector<std::pair<double, T>> keys_;
+  KeyInterpolation interpolation_ = KeyInterpolation::linear;
+};
+
+/// Reads a number, or the animated form of one. Keys must rise strictly.
+Animated<double> readAnimatedNumber(const JsonNode& node);
+/// Reads [x, y, z], or the animated form of it.
+Animated<Vec3> readAnimatedVec3(const JsonNode& node);
+
+}  // namespace srf

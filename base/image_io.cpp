@@ -1,0 +1,246 @@
+#include "base/image_io.h"
+
+#include <OpenEXR/ImfChannelList.h>
+#include <OpenEXR/ImfFrameBuffer.h>
+#include <OpenEXR/ImfHeader.h>
+#include <OpenEXR/ImfInputFile.h>
+#include <OpenEXR/ImfOutputFile.h>
+#include <OpenEXR/ImfStringAttribute.h>
+#include <Imath/half.h>
+#include <OpenImageIO/imageio.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "base/error.h"
+#include "base/files.h"
+
+namespace srf {
+namespace {
+
+constexpr float kLargestHalf = 65504.f;
+
+std::unique_ptr<OIIO::ImageInput> openInput(const std::filesystem::path& file) {
+  if (!std::filesystem::exists(file)) throw badInput(file.string(), "does not exist; check the path");
+  auto input = OIIO::ImageInput::open(file.string());
+  if (!input)
+    throw badInput(file.string(), "could not be read as an image (" + OIIO::geterror() +
+                                      "); expected EXR, HDR, PNG, TIFF or JPEG that is whole");
+  const OIIO::ImageSpec& spec = input->spec();
+  if (spec.width < 1 || spec.height < 1 || spec.width > 65536 || spec.height > 65536 || spec.depth > 1)
+    throw badInput(file.string(), "has a size of " + std::to_string(spec.width) + " x " + std::to_string(spec.height) +
+                                      ", expected 1 to 65536 each way");
+  return input;
+}
+
+// The file's channels that make grey, RGB or RGBA, in that order.
+std::vector<int> colourChannels(const OIIO::ImageSpec& spec) {
+  const auto find = [&](const char* name) {
+    for (int c = 0; c < spec.nchannels; ++c)
+      if (spec.channel_name(c) == name) return c;
+    return -1;
+  };
+  const int r = find("R"), g = find("G"), b = find("B"), a = find("A"), y = find("Y");
+  std::vector<int> order;
+  if (r >= 0 && g >= 0 && b >= 0) order = {r, g, b};
+  else if (y >= 0) order = {y};
+  else if (spec.nchannels >= 3) order = {0, 1, 2};
+  else order = {0};
+  if (a >= 0 && order.size() == 3) order.push_back(a);
+  return order;
+}
+
+std::size_t clampToHalf(float& value) {
+  if (std::isnan(value)) return value = 0.f, 1;
+  if (value > kLargestHalf) return value = kLargestHalf, 1;
+  if (value < -kLargestHalf) return value = -kLargestHalf, 1;
+  return 0;
+}
+
+void writeWithOiio(const std::filesystem::path& file, const OIIO::ImageSpec& spec, OIIO::TypeDesc type, const void* data) {
+  PartialFile part(file);
+  auto output = OIIO::ImageOutput::create("png");
+  if (!output || !output->open(part.path().string(), spec) || !output->write_image(type, data) || !output->close())
+    throw Error(ErrorKind::failed, "could not be written: " + (output ? output->geterror() : OIIO::geterror()),
+                file.string());
+  output.reset();
+  part.commit();
+}
+
+}  // namespace
+
+LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transfer) {
+  const auto input = openInput(file);
+  const OIIO::ImageSpec spec = input->spec();
+  const std::vector<int> order = colourChannels(spec);
+  std::vector<float> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels);
+  if (!input->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, all.data()))
+    throw badInput(file.string(), "ends early or is damaged (" + input->geterror() + "); copy it again");
+  LoadedImage image;
+  image.is_float = spec.format.is_floating_point();
+  image.bits = static_cast<int>(spec.format.size() * 8);
+  image.has_alpha = order.size() == 4;
+  const int channels = static_cast<int>(order.size());
+  image.pixels = ImageF(spec.width, spec.height, channels);
+  const bool decode = !image.is_float && integer_transfer == Transfer::srgb;
+  float* to = image.pixels.data().data();
+  for (std::size_t p = 0; p < static_cast<std::size_t>(spec.width) * spec.height; ++p)
+    for (int c = 0; c < channels; ++c) {
+      const float value = all[p * spec.nchannels + order[c]];
+      *to++ = decode && c < 3 ? linearFromSrgb(value) : value;
+    }
+  return image;
+}
+
+ImageSize readImageSize(const std::filesystem::path& file) {
+  const auto input = openInput(file);
+  return {input->spec().width, input->spec().height};
+}
+
+Image8 readMask(const std::filesystem::path& file) {
+  const LoadedImage image = readImage(file, Transfer::linear);
+  const ImageF& p = image.pixels;
+  Image8 mask(p.width(), p.height(), 1);
+  for (int y = 0; y < p.height(); ++y)
+    for (int x = 0; x < p.width(); ++x) {
+      float value = p.at(x, y, 0);
+      if (image.has_alpha) value = p.at(x, y, 3);
+      else if (p.channels() == 3) value = (p.at(x, y, 0) + p.at(x, y, 1) + p.at(x, y, 2)) / 3;
+      mask.at(x, y) = static_cast<std::uint8_t>(std::lround(255 * std::clamp(std::isnan(value) ? 0.f : value, 0.f, 1.f)));
+    }
+  return mask;
+}
+
+std::size_t writeExr(const std::filesystem::path& file, int width, int height, const std::vector<ExrChannel>& channels,
+                     const Attributes& attributes) {
+  std::size_t clamped = 0;
+  Imf::Header header(width, height);
+  header.compression() = Imf::ZIP_COMPRESSION;
+  for (const auto& [key, value] : attributes) header.insert(key, Imf::StringAttribute(value));
+  Imf::FrameBuffer buffer;
+  const std::size_t pixels = static_cast<std::size_t>(width) * height;
+  std::vector<std::vector<half>> halves(channels.size());
+  std::vector<std::vector<float>> floats(channels.size());
+  for (std::size_t c = 0; c < channels.size(); ++c) {
+    const ExrChannel& channel = channels[c];
+    header.channels().insert(channel.name, Imf::Channel(channel.full_float ? Imf::FLOAT : Imf::HALF));
+    if (channel.full_float) {
+      floats[c].resize(pixels);
+      for (std::size_t i = 0; i < pixels; ++i) {
+        float v = channel.data[static_cast<std::ptrdiff_t>(i) * channel.stride];
+        if (!std::isfinite(v)) v = 0, ++clamped;
+        floats[c][i] = v;
+      }
+      buffer.insert(channel.name, Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(floats[c].data()), sizeof(float),
+                                             sizeof(float) * width));
+    } else {
+      halves[c].resize(pixels);
+      for (std::size_t i = 0; i < pixels; ++i) {
+        float v = channel.data[static_cast<std::ptrdiff_t>(i) * channel.stride];
+        clamped += clampToHalf(v);
+        halves[c][i] = half(v);
+      }
+      buffer.insert(channel.name,
+                    Imf::Slice(Imf::HALF, reinterpret_cast<char*>(halves[c].data()), sizeof(half), sizeof(half) * width));
+    }
+  }
+  PartialFile part(file);
+  try {
+    Imf::OutputFile output(part.path().c_str(), header, 0);
+    output.setFrameBuffer(buffer);
+    output.writePixels(height);
+  } catch (const std::exception& e) {
+    const std::string text = e.what();
+    const bool full = text.find("No space") != std::string::npos || text.find("too large") != std::string::npos;
+    throw Error(full ? ErrorKind::out_of_budget : ErrorKind::failed, "could not be written: " + text, file.string());
+  }
+  part.commit();
+  return clamped;
+}
+
+std::size_t writeExr(const std::filesystem::path& file, const ImageF& image, const Attributes& attributes) {
+  static constexpr const char* kNames[] = {"R", "G", "B", "A"};
+  std::vector<ExrChannel> channels;
+  for (int c = 0; c < image.channels(); ++c)
+    channels.push_back({image.channels() == 1 ? "Y" : kNames[c], image.data().data() + c, image.channels(), false});
+  return writeExr(file, image.width(), image.height(), channels, attributes);
+}
+
+void writePng(const std::filesystem::path& file, const Image8& image) {
+  writeWithOiio(file, OIIO::ImageSpec(image.width(), image.height(), image.channels(), OIIO::TypeDesc::UINT8),
+                OIIO::TypeDesc::UINT8, image.data().data());
+}
+
+void writePng16(const std::filesystem::path& file, const ImageF& image) {
+  writeWithOiio(file, OIIO::ImageSpec(image.width(), image.height(), image.channels(), OIIO::TypeDesc::UINT16),
+                OIIO::TypeDesc::FLOAT, image.data().data());
+}
+
+float srgbFromLinear(float linear) {
+  return linear <= 0.0031308f ? 12.92f * linear : 1.055f * std::pow(linear, 1 / 2.4f) - 0.055f;
+}
+float linearFromSrgb(float encoded) {
+  return encoded <= 0.04045f ? encoded / 12.92f : std::pow((encoded + 0.055f) / 1.055f, 2.4f);
+}
+
+Image8 displayImage(const ImageF& linear, double exposure) {
+  Image8 out(linear.width(), linear.height(), linear.channels());
+  for (std::size_t i = 0; i < linear.data().size(); ++i) {
+    const bool alpha = linear.channels() == 4 && i % 4 == 3;
+    float v = linear.data()[i];
+    if (!(v > 0)) v = 0;
+    v = alpha ? v : srgbFromLinear(std::min(1.f, static_cast<float>(v * exposure)));
+    out.data()[i] = static_cast<std::uint8_t>(std::lround(255 * std::min(v, 1.f)));
+  }
+  return out;
+}
+
+std::map<std::string, ImageF> readExrChannels(const std::filesystem::path& file) {
+  if (!std::filesystem::exists(file)) throw badInput(file.string(), "does not exist; check the path");
+  try {
+    Imf::InputFile input(file.c_str(), 0);
+    const Imath::Box2i window = input.header().dataWindow();
+    const int width = window.max.x - window.min.x + 1, height = window.max.y - window.min.y + 1;
+    std::map<std::string, ImageF> images;
+    Imf::FrameBuffer buffer;
+    for (auto c = input.header().channels().begin(); c != input.header().channels().end(); ++c) {
+      ImageF& image = images[c.name()] = ImageF(width, height, 1);
+      char* base = reinterpret_cast<char*>(image.data().data()) -
+                   (window.min.x + static_cast<std::ptrdiff_t>(window.min.y) * width) *
+                       static_cast<std::ptrdiff_t>(sizeof(float));
+      buffer.insert(c.name(), Imf::Slice(Imf::FLOAT, base, sizeof(float), sizeof(float) * width));
+    }
+    input.setFrameBuffer(buffer);
+    input.readPixels(window.min.y, window.max.y);
+    return images;
+  } catch (const std::exception& e) {
+    throw badInput(file.string(), std::string("could not be read as EXR: ") + e.what());
+  }
+}
+
+Attributes readExrAttributes(const std::filesystem::path& file) {
+  if (!std::filesystem::exists(file)) throw badInput(file.string(), "does not exist; check the path");
+  try {
+    Imf::InputFile input(file.c_str(), 0);
+    Attributes out;
+    for (auto a = input.header().begin(); a != input.header().end(); ++a)
+      if (const auto* text = dynamic_cast<const Imf::StringAttribute*>(&a.attribute())) out[a.name()] = text->value();
+    return out;
+  } catch (const std::exception& e) {
+    throw badInput(file.string(), std::string("could not be read as EXR: ") + e.what());
+  }
+}
+
+std::uint16_t halfFromFloat(float value) {
+  if (value > kLargestHalf) value = kLargestHalf;
+  if (value < -kLargestHalf) value = -kLargestHalf;
+  return half(value).bits();
+}
+float floatFromHalf(std::uint16_t bits) {
+  half h;
+  h.setBits(bits);
+  return h;
+}
+
+}  // namespace srf

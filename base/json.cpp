@@ -1,0 +1,189 @@
+#include "base/json.h"
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "base/files.h"
+
+namespace srf {
+namespace {
+
+std::string inQuotes(std::string_view word) { return "'" + std::string(word) + "'"; }
+
+// A short form of a value for messages.
+std::string shown(const Json& value) {
+  std::string text = value.dump(-1, ' ', false, Json::error_handler_t::replace);
+  if (text.size() > 60) text = text.substr(0, 57) + "...";
+  return text;
+}
+
+JsonNode rootOf(const std::string& text, const std::string& name) {
+  try {
+    auto document = std::make_shared<const Json>(Json::parse(text));
+    return {document, document.get(), name, ""};
+  } catch (const Json::parse_error& e) {
+    const std::size_t end = std::min(e.byte > 0 ? e.byte - 1 : 0, text.size());
+    const auto line = 1 + std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(end), '\n');
+    const std::size_t line_start = end == 0 ? 0 : text.rfind('\n', end - 1) + 1;
+    throw badInput(name, "line " + std::to_string(line) + ", column " + std::to_string(end - line_start + 1) +
+                             " is not valid JSON; check commas, quotes and brackets there");
+  }
+}
+
+}  // namespace
+
+JsonNode::JsonNode(std::shared_ptr<const Json> document, const Json* value, std::string file, std::string pointer)
+    : document_(std::move(document)), value_(value), file_(std::move(file)), pointer_(std::move(pointer)) {}
+
+std::string JsonNode::where() const { return file_ + ": " + (pointer_.empty() ? "/" : pointer_); }
+bool JsonNode::isObject() const { return value_->is_object(); }
+bool JsonNode::isArray() const { return value_->is_array(); }
+bool JsonNode::isNumber() const { return value_->is_number(); }
+bool JsonNode::isString() const { return value_->is_string(); }
+std::string JsonNode::typeName() const { return value_->type_name(); }
+
+const JsonNode& JsonNode::onlyKeys(std::initializer_list<std::string_view> known) const {
+  if (!isObject()) throw error("found " + shown(*value_) + ", expected an object {...}");
+  for (const auto& [key, unused] : value_->items()) {
+    if (std::find(known.begin(), known.end(), key) != known.end()) continue;
+    const std::vector<std::string> words(known.begin(), known.end());
+    const std::string near = nearestWord(key, words);
+    std::string list;
+    for (const auto& w : words) list += (list.empty() ? "" : ", ") + w;
+    throw badInput(file_ + ": " + pointer_ + "/" + key,
+                   "unknown key " + inQuotes(key) +
+                       (near.empty() ? "; known here: " + list : "; did you mean " + inQuotes(near) + "?"));
+  }
+  return *this;
+}
+
+bool JsonNode::has(std::string_view key) const { return isObject() && value_->contains(std::string(key)); }
+
+std::optional<JsonNode> JsonNode::find(std::string_view key) const {
+  if (!isObject()) throw error("found " + shown(*value_) + ", expected an object {...}");
+  const auto it = value_->find(std::string(key));
+  if (it == value_->end()) return std::nullopt;
+  return JsonNode(document_, &*it, file_, pointer_ + "/" + std::string(key));
+}
+
+JsonNode JsonNode::operator[](std::string_view key) const {
+  auto node = find(key);
+  if (!node) throw error("the key " + inQuotes(key) + " is missing; add it");
+  return *node;
+}
+
+std::size_t JsonNode::size() const {
+  if (!isArray()) throw error("found " + shown(*value_) + ", expected an array [...]");
+  return value_->size();
+}
+
+JsonNode JsonNode::at(std::size_t index) const {
+  if (index >= size()) throw error("has " + std::to_string(size()) + " entries, expected more than " + std::to_string(index));
+  return {document_, &(*value_)[index], file_, pointer_ + "/" + std::to_string(index)};
+}
+
+double JsonNode::number() const {
+  if (!isNumber()) throw error("found " + shown(*value_) + ", expected a number");
+  const double x = value_->get<double>();
+  if (!std::isfinite(x)) throw error("found " + shown(*value_) + ", expected a finite number");
+  return x;
+}
+
+double JsonNode::positiveNumber() const {
+  const double x = number();
+  if (!(x > 0)) throw error("found " + shown(*value_) + ", expected a number above 0");
+  return x;
+}
+
+long JsonNode::integer(long least, long most) const {
+  const double x = number();
+  if (x != std::floor(x) || x < static_cast<double>(least) || x > static_cast<double>(most))
+    throw error("found " + shown(*value_) + ", expected a whole number from " + std::to_string(least) + " to " +
+                std::to_string(most));
+  return static_cast<long>(x);
+}
+
+std::string JsonNode::string() const {
+  if (!isString()) throw error("found " + shown(*value_) + ", expected a string");
+  return value_->get<std::string>();
+}
+
+bool JsonNode::boolean() const {
+  if (!value_->is_boolean()) throw error("found " + shown(*value_) + ", expected true or false");
+  return value_->get<bool>();
+}
+
+Vec3 JsonNode::vec3() const {
+  const auto v = numbers(3);
+  return {v[0], v[1], v[2]};
+}
+
+std::vector<double> JsonNode::numbers(std::size_t count) const {
+  if (!isArray() || value_->size() != count)
+    throw error("found " + shown(*value_) + ", expected an array of " + std::to_string(count) + " numbers");
+  std::vector<double> v(count);
+  for (std::size_t i = 0; i < count; ++i) v[i] = at(i).number();
+  return v;
+}
+
+std::size_t JsonNode::choice(std::initializer_list<std::string_view> words) const {
+  const std::string found = string();
+  std::string list;
+  std::size_t i = 0;
+  for (const auto& word : words) {
+    if (word == found) return i;
+    list += (list.empty() ? "" : ", ") + inQuotes(word);
+    ++i;
+  }
+  throw error("found " + inQuotes(found) + ", expected one of " + list);
+}
+
+JsonNode parseJson(const std::string& text, const std::string& name) { return rootOf(text, name); }
+JsonNode readJsonFile(const std::filesystem::path& file) { return rootOf(readTextFile(file), file.string()); }
+
+JsonNode withOverride(const JsonNode& root, const std::string& assignment) {
+  const auto equals = assignment.find('=');
+  if (equals == std::string::npos || assignment.empty() || assignment[0] != '/')
+    throw Error(ErrorKind::usage, "found '" + assignment + "', expected /json/pointer=value", "--set");
+  const std::string pointer = assignment.substr(0, equals), text = assignment.substr(equals + 1);
+  Json document = root.raw();
+  Json value = Json::parse(text, nullptr, false);
+  if (value.is_discarded()) value = text;
+  try {
+    document[Json::json_pointer(pointer)] = value;
+  } catch (const Json::exception& e) {
+    throw Error(ErrorKind::usage, "the pointer '" + pointer + "' does not fit " + root.file() + " (" + e.what() + ")",
+                "--set");
+  }
+  auto shared = std::make_shared<const Json>(std::move(document));
+  return {shared, shared.get(), root.file(), ""};
+}
+
+void writeJsonFile(const std::filesystem::path& file, const Json& value) {
+  writeTextFile(file, value.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+std::string nearestWord(std::string_view word, const std::vector<std::string>& known) {
+  std::string best;
+  std::size_t best_distance = std::max<std::size_t>(2, word.size() / 3) + 1;
+  for (const std::string& k : known) {
+    std::vector<std::size_t> row(k.size() + 1);
+    for (std::size_t j = 0; j <= k.size(); ++j) row[j] = j;
+    for (std::size_t i = 1; i <= word.size(); ++i) {
+      std::size_t diagonal = row[0];
+      row[0] = i;
+      for (std::size_t j = 1; j <= k.size(); ++j) {
+        const std::size_t next = std::min({row[j] + 1, row[j - 1] + 1, diagonal + (word[i - 1] != k[j - 1])});
+        diagonal = row[j];
+        row[j] = next;
+      }
+    }
+    if (row[k.size()] < best_distance) best_distance = row[k.size()], best = k;
+  }
+  return best;
+}
+
+}  // namespace srf

@@ -1,0 +1,72 @@
+// Psi: maps of space from acquisition to object space (doc: formats, Deformations), composed in the order of the scene's
+// list, and what they do to tangents (Eq. 6, M8). All in double.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "base/animated.h"
+#include "base/json.h"
+#include "base/mesh.h"
+#include "base/reporter.h"
+#include "base/transform.h"
+
+namespace srf {
+
+/// One step of Psi at one frame: a map of space onto itself.
+class SpaceMap {
+ public:
+  virtual ~SpaceMap() = default;
+  virtual Vec3 map(const Vec3& p) const = 0;
+  /// The Jacobian D(Psi)(p); one-sided at creases.
+  virtual Mat3 jacobian(const Vec3& p) const = 0;
+  /// A length over which the map changes little, units; infinite for affine maps. Sets the step of Eq. 6.
+  virtual double lengthScale() const = 0;
+  virtual bool rigid() const { return false; }
+};
+
+/// Psi at one frame of the animation: the composition of its steps. Immutable and thread-safe.
+class Deformation {
+ public:
+  Deformation() = default;  ///< the identity
+  explicit Deformation(std::vector<std::shared_ptr<const SpaceMap>> steps) : steps_(std::move(steps)) {}
+
+  bool identity() const { return steps_.empty(); }
+  bool rigid() const;
+  Point<ObjectSpace> map(const Point<AcquisitionSpace>& p0) const;
+  /// The analytic Jacobian, by the chain rule.
+  Linear<ObjectSpace, AcquisitionSpace> jacobian(const Point<AcquisitionSpace>& p0) const;
+  /// The same by central differences (Eq. 6), with the step 2^-17 of the length scale of object and map: the check of the
+  /// analytic one, and what a map without one would use.
+  Linear<ObjectSpace, AcquisitionSpace> differences(const Point<AcquisitionSpace>& p0, double object_diameter) const;
+
+ private:
+  std::vector<std::shared_ptr<const SpaceMap>> steps_;
+};
+
+/// What a scene's "deformation" list describes over all frames.
+class AnimatedDeformation {
+ public:
+  AnimatedDeformation() = default;
+  /// Parses the list; validates keys, types and ranges. `folder`: what relative file names refer to. Warnings (an ffd
+  /// whose walls moved) go to the reporter.
+  static AnimatedDeformation parse(const JsonNode& list, const std::filesystem::path& folder, Reporter& reporter);
+
+  /// The maps of space at `frame`, without a leading sequence.
+  Deformation at(double frame) const;
+  bool constant() const;  ///< the same at every frame
+  /// A leading `sequence`: the vertices of the rest mesh at `frame`, in object space before the maps of space apply.
+  bool hasSequence() const;
+  /// Reads and checks the frame's mesh (topology as `rest`); throws bad_input that names file and difference.
+  std::vector<Point<ObjectSpace>> sequencePositions(int frame, const AcquisitionMesh& rest) const;
+
+ private:
+  struct Step;
+  std::vector<std::shared_ptr<const Step>> steps_;
+  std::string sequence_pattern_;  ///< absolute or relative to the working directory; empty: none
+};
+
+}  // namespace srf

@@ -1,0 +1,59 @@
+// A model at one frame: p* = Psi(p0) and the carried tangents of every point, and the ray scene over them (M8, M10, M16).
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "base/ray_scene.h"
+#include "model/deformable_model.h"
+#include "model/deformation.h"
+
+namespace srf {
+
+/// What a ray met: a blend of model points (3 corners of a triangle, or overlapping splats), weights summing to 1.
+struct SurfaceHit {
+  static constexpr int kMostPoints = 16;
+  int count = 0;
+  std::uint32_t point[kMostPoints];   ///< model points, by falling weight
+  float weight[kMostPoints];
+  Point<ObjectSpace> p_star;
+  Point<AcquisitionSpace> p0;
+  Orthogonal<AcquisitionSpace, TangentSpace> acquisition_from_tangent;  ///< R0 of the blended, orthonormalised rest tangents
+  Tangents<ObjectSpace> tangents;     ///< blended u, v of the same phase as R0, and the sign
+  double distance = 0;                ///< along the ray
+};
+
+struct DeformedStatistics {
+  std::size_t not_finite = 0;   ///< points that Psi sent nowhere: dropped
+  std::size_t mirrored = 0;     ///< points of negative handedness
+  std::size_t collapsed = 0;    ///< points whose tangents gave no frame
+};
+
+class DeformedModel {
+ public:
+  explicit DeformedModel(const DeformableModel& model);  ///< at rest; the model must outlive it
+  /// Moves to a frame: always from p0 and R0, so nothing drifts. `sequence`: positions of the rest mesh's vertices
+  /// before the maps of space, where the animation has a mesh sequence.
+  void deform(const Deformation& psi, const std::vector<Point<ObjectSpace>>* sequence = nullptr);
+
+  const DeformableModel& model() const { return model_; }
+  const std::vector<Point<ObjectSpace>>& positions() const { return p_star_; }
+  const DeformedStatistics& statistics() const { return statistics_; }
+  /// Closest hits of the rays, in packets; misses have count 0. Thread-safe.
+  void intersect(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
+  /// Ray scene of the deformed triangles or splats (for shadow rays).
+  const RayScene<ObjectSpace>& rays() const { return *scene_; }
+  Box<ObjectSpace> bounds() const;
+
+ private:
+  void blend(SurfaceHit& hit, const SplatHit* splats) const;
+
+  const DeformableModel& model_;
+  std::vector<Orthogonal<AcquisitionSpace, TangentSpace>> rest_frame_;  ///< R0 of each point
+  std::vector<Point<ObjectSpace>> p_star_;
+  std::vector<Tangents<ObjectSpace>> tangents_;
+  std::optional<RayScene<ObjectSpace>> scene_;
+  DeformedStatistics statistics_;
+};
+
+}  // namespace srf

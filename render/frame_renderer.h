@@ -1,0 +1,50 @@
+// One frame: rays to hits (M10), hits through L (M11), view and light weights (M12, M13), gathered and sorted shading
+// operations executed against a small cache (M15), pixels and layers.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "base/image.h"
+#include "base/reporter.h"
+#include "field/block_cache.h"
+#include "field/reflectance_store.h"
+#include "field/srf_folder.h"
+#include "model/deformed_model.h"
+#include "render/light_set.h"
+
+namespace srf {
+
+/// The layers of --aovs by group: "P", "P0", "N", "L", "handedness", "V", "Z", "view", "confidence".
+std::vector<std::string> knownLayers();
+
+struct Frame {
+  ImageF rgba;                            ///< premultiplied, linear
+  std::map<std::string, ImageF> layers;   ///< channel name ("P.X", "view.0") to a one-channel image
+};
+
+struct FrameSettings {
+  Accuracy accuracy;
+  int samples = 1;                     ///< per pixel, a regular or stratified pattern (deterministic)
+  std::set<std::string> layers;        ///< groups asked for; others cost nothing
+  std::size_t memory_bytes = std::size_t{1} << 30;  ///< for blocks, operations and weights together
+};
+
+class FrameRenderer {
+ public:
+  /// Opens the field's stores. `model` must outlive it.
+  FrameRenderer(const std::filesystem::path& srf_folder, const SrfManifest& manifest, const DeformableModel& model,
+                const FrameSettings& settings, Reporter& reporter);
+  ~FrameRenderer();
+  /// Same input, same bits, for any thread count and memory budget.
+  Frame render(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLights& lights);
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace srf

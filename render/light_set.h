@@ -1,0 +1,57 @@
+// The lights of one frame (M14): point lights, directional lights, and an environment map taken once to point-like lights.
+#pragma once
+
+#include <filesystem>
+#include <vector>
+
+#include "base/image.h"
+#include "base/reporter.h"
+#include "base/space.h"
+#include "field/srf_folder.h"
+#include "render/scene.h"
+
+namespace srf {
+
+/// A directional light at infinity in object space.
+struct DistantLight {
+  Direction<ObjectSpace> direction;  ///< to the light
+  Vec3 irradiance;                   ///< on a plane facing it
+};
+struct NearLight {
+  Point<ObjectSpace> position;
+  Vec3 intensity;
+};
+/// A light of the capture, fixed to the surface's frame: shines as in the photographs, times `scale`.
+struct RestLight {
+  LightId light;
+  double scale;
+};
+
+struct FrameLights {
+  std::vector<DistantLight> distant;  ///< directional lights and the samples of all environments
+  std::vector<NearLight> near_lights;
+  std::vector<RestLight> rest;
+};
+
+/// An environment map reduced to N distant lights: each cell of a partition of the sphere gives its integrated energy at
+/// its energy centroid (theory: a value at the cell's direction fails on small bright sources). Sum of irradiances =
+/// integral of radiance over the sphere to 1e-6. `samples` 0: one light a texel. Before rotation.
+struct EnvironmentSamples {
+  std::vector<DistantLight> lights;
+  std::size_t unusable_texels = 0;  ///< negative, NaN or infinite: counted as 0
+};
+EnvironmentSamples sampleEnvironment(const ImageF& map, int samples);
+
+/// Reads the scene's maps once and makes the lights of each frame.
+class LightSet {
+ public:
+  LightSet(const Scene& scene, const SrfManifest& field, Reporter& reporter);
+  FrameLights at(double frame) const;
+
+ private:
+  const Scene& scene_;
+  const SrfManifest& field_;
+  std::vector<EnvironmentSamples> environments_;  ///< one for each environment light, in order
+};
+
+}  // namespace srf

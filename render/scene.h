@@ -1,0 +1,66 @@
+// scene.json: camera, deformation, lights, frames, output (doc: formats, Scene).
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "base/animated.h"
+#include "base/camera.h"
+#include "model/deformation.h"
+#include "model/local_frame.h"
+
+namespace srf {
+
+struct LookAtCamera {
+  int width = 0, height = 0;
+  Animated<double> vfov;  ///< degrees
+  Animated<Vec3> eye, target, up;
+};
+using SceneCamera = std::variant<LookAtCamera, Camera<ObjectSpace>>;
+
+struct PointLight { Animated<Vec3> position, intensity; };
+struct DirectionalLight { Animated<Vec3> direction, irradiance; };
+struct EnvironmentLight {
+  std::filesystem::path map;
+  Animated<double> rotation;  ///< degrees about +z
+  Animated<double> scale;
+  int samples = 256;          ///< point-like lights taken from it; 0: every texel
+};
+struct CapturedLight { std::string light; Animated<double> scale; };  ///< `light` empty: the one unnamed light
+using SceneLight = std::variant<PointLight, DirectionalLight, EnvironmentLight, CapturedLight>;
+
+/// Every approximation, each with an exact setting (M18).
+struct Accuracy {
+  int views = 4;                          ///< k nearest views
+  int lights = 4;                         ///< k nearest acquired lights
+  FrameMode frame = FrameMode::bisector;
+  double light_sharing = 1;               ///< degrees over which rotated light weights are shared; 0: exact
+  double min_distance = 1e-3;             ///< least distance of a point light in A(d), of the object's diameter
+};
+
+struct Scene {
+  std::filesystem::path file;             ///< what relative paths refer to, and what errors name
+  std::filesystem::path srf;
+  SceneCamera camera;
+  AnimatedDeformation deformation;
+  std::vector<SceneLight> lights;
+  std::vector<int> frames{0};
+  double fps = 24;
+  std::string output;                     ///< pattern with ####; relative to the working directory
+  int samples = 1;                        ///< per pixel
+  Accuracy accuracy;
+
+  Camera<ObjectSpace> cameraAt(double frame) const;
+};
+
+/// Reads scene.json; `overrides` are --set assignments. Throws bad_input naming file, key and what was expected.
+Scene readScene(const std::filesystem::path& file, const std::vector<std::string>& overrides, Reporter& reporter);
+/// "0-60", "0-60x2", "3", "1,3,10-20" to numbers, in the order given; throws usage-like bad_input naming `where`.
+std::vector<int> parseFrames(const std::string& text, const std::string& where);
+/// The file of a frame: #### (or %04d) replaced; a pattern without either gets .#### before its suffix.
+std::filesystem::path frameFile(const std::string& pattern, int frame);
+
+}  // namespace srf

@@ -1,0 +1,30 @@
+#include "tests/support/test_support.h"
+
+#include <stdlib.h>
+
+#include <cstdlib>
+#include <stdexcept>
+
+namespace srf::test {
+
+TemporaryFolder::TemporaryFolder() {
+  std::string pattern = (std::filesystem::temp_directory_path() / "srf-test-XXXXXX").string();
+  if (!::mkdtemp(pattern.data())) throw std::runtime_error("no temporary folder");
+  path_ = pattern;
+}
+TemporaryFolder::~TemporaryFolder() {
+  std::error_code code;
+  std::filesystem::remove_all(path_, code);
+}
+
+std::optional<std::filesystem::path> sharedData(const std::string& name) {
+  const char* set = std::getenv("SRF_DATA");
+  const std::filesystem::path root =
+      set ? std::filesystem::path(set) : std::filesystem::path(SRF_SOURCE_DIR) / ".." / "shared" / "data";
+  std::error_code code;
+  const auto path = std::filesystem::weakly_canonical(root / name, code);
+  if (code || !std::filesystem::exists(path)) return std::nullopt;
+  return path;
+}
+
+}  // namespace srf::test

@@ -1,0 +1,33 @@
+// What tests of every folder share.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+
+namespace srf::test {
+
+/// A fresh folder, removed at the end of the test.
+class TemporaryFolder {
+ public:
+  TemporaryFolder();
+  ~TemporaryFolder();
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+  const std::filesystem::path& path() const { return path_; }
+  std::filesystem::path operator/(const std::string& name) const { return path_ / name; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+/// `SRF_DATA`/name, or shared/data/name beside the checkout; nothing where it is absent: the test then says 'skipped'.
+std::optional<std::filesystem::path> sharedData(const std::string& name);
+
+}  // namespace srf::test
+
+/// Ends the test as skipped where the shared data is absent.
+#define SRF_REQUIRE_DATA(variable, name)                                   \
+  const auto variable##_found = srf::test::sharedData(name);               \
+  if (!variable##_found) GTEST_SKIP() << "skipped: no shared data " name; \
+  const std::filesystem::path variable = *variable##_found
