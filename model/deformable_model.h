@@ -2,12 +2,14 @@
 // views see each point at rest. Made once by `srf model`, stored in X.srf/models.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <string>
 #include <vector>
 
 #include "base/mesh.h"
+#include "base/reporter.h"
 #include "field/capture.h"
 #include "field/srf_folder.h"
 #include "model/local_frame.h"

@@ -1,0 +1,16 @@
+// The model stage: a shape by name or file to the model inside an SRF. What `srf model` and `srf pipeline` call.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "model/deformable_model.h"
+
+namespace srf {
+
+/// `shape`: "hull", a parametric name (sphere, box, cylinder, plane, torus) or a mesh or point file. Stores the model and
+/// makes it the active one.
+void makeModel(const std::filesystem::path& srf_folder, const std::string& shape, const ModelOptions& options,
+               Reporter& reporter);
+
+}  // namespace srf
