@@ -1,1 +1,516 @@
-// (written next)
+#include "model/deformation.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <functional>
+#include <limits>
+
+#include "base/mesh_io.h"
+#include "base/numeric.h"
+
+// Twist, taper and bend: Barr, Global and Local Deformations of Solid Primitives, 1984. Lattice: Sederberg and Parry,
+// Free-Form Deformation of Solid Geometric Models, 1986. Every map works on p - origin, so that an object far from the
+// world's origin keeps its digits.
+
+namespace srf {
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+// Eq. 6: the step is this part of the length over which the map changes. Truncation and rounding then both stay
+// near 1e-11 of a tangent in double.
+constexpr double kStepOfLength = 0x1p-17;
+constexpr double kRigidTolerance = 1e-12;
+// Shortest part of `toward` across the axis, of its own length, that still gives it a direction.
+constexpr double kParallelSine = 1e-6;
+constexpr int kMostLatticePoints = 64;  // along one axis
+
+Mat3 outer(const Vec3& a, const Vec3& b) {
+  return {{a.x * b, a.y * b, a.z * b}};
+}
+double sinc(double x) {
+  return x == 0 ? 1 : std::sin(x) / x;
+}
+double reciprocalLength(double per_unit) {
+  return per_unit == 0 ? kInfinity : 1 / std::fabs(per_unit);
+}
+
+class AffineMap final : public SpaceMap {
+ public:
+  AffineMap(const Mat3& linear, const Vec3& translation) : linear_(linear), translation_(translation) {}
+  Vec3 map(const Vec3& p) const override { return linear_ * p + translation_; }
+  Mat3 jacobian(const Vec3&) const override { return linear_; }
+  double lengthScale() const override { return kInfinity; }
+  bool rigid() const override {
+    const Mat3 gram = linear_ * linear_.transposed();
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j)
+        if (!(std::fabs(gram.row[i][j] - (i == j)) <= kRigidTolerance)) return false;
+    return determinant(linear_) > 0;
+  }
+
+ private:
+  Mat3 linear_;
+  Vec3 translation_;
+};
+
+class TwistMap final : public SpaceMap {
+ public:
+  TwistMap(const Vec3& origin, const Vec3& axis, double k) : origin_(origin), axis_(axis), k_(k) {}
+  Vec3 map(const Vec3& p) const override {
+    const Vec3 q = p - origin_;
+    return origin_ + rotationAbout(axis_, k_ * dot(q, axis_)) * q;
+  }
+  Mat3 jacobian(const Vec3& p) const override {
+    const Vec3 q = p - origin_;
+    const Mat3 turn = rotationAbout(axis_, k_ * dot(q, axis_));
+    return turn + k_ * outer(cross(axis_, turn * q), axis_);
+  }
+  double lengthScale() const override { return reciprocalLength(k_); }
+
+ private:
+  Vec3 origin_, axis_;
+  double k_;  // radians per unit
+};
+
+class TaperMap final : public SpaceMap {
+ public:
+  TaperMap(const Vec3& origin, const Vec3& axis, double k) : origin_(origin), axis_(axis), k_(k) {}
+  Vec3 map(const Vec3& p) const override {
+    const Vec3 q = p - origin_;
+    const double s = dot(q, axis_);
+    return p + (k_ * s) * (q - s * axis_);  // o + s a + (1 + k s)(q - s a)
+  }
+  Mat3 jacobian(const Vec3& p) const override {
+    const Vec3 q = p - origin_;
+    const double s = dot(q, axis_);
+    const Mat3 along = outer(axis_, axis_), across = Mat3{} + (-1.0) * along;
+    return along + (1 + k_ * s) * across + k_ * outer(q - s * axis_, axis_);
+  }
+  double lengthScale() const override { return reciprocalLength(k_); }
+
+ private:
+  Vec3 origin_, axis_;
+  double k_;  // per unit
+};
+
+class BendMap final : public SpaceMap {
+ public:
+  BendMap(const Vec3& origin, const Vec3& axis, const Vec3& toward, double k, double low, double high)
+      : origin_(origin), axis_(axis), toward_(toward), side_(cross(axis, toward)), k_(k), low_(low), high_(high) {}
+  Vec3 map(const Vec3& p) const override {
+    const Vec3 q = p - origin_;
+    const double x = dot(q, toward_), y = dot(q, side_), s = dot(q, axis_);
+    const double clamped = std::clamp(s, low_, high_), r = s - clamped, th = k_ * clamped;
+    // sin(th) / k and (1 - cos(th)) / k without dividing by a small k.
+    const double along = clamped * sinc(th) - std::sin(th) * x + std::cos(th) * r;
+    const double over = clamped * std::sin(th / 2) * sinc(th / 2) + std::cos(th) * x + std::sin(th) * r;
+    return origin_ + y * side_ + along * axis_ + over * toward_;
+  }
+  Mat3 jacobian(const Vec3& p) const override {
+    const Vec3 q = p - origin_;
+    const double x = dot(q, toward_), s = dot(q, axis_);
+    const double clamped = std::clamp(s, low_, high_), th = k_ * clamped;
+    const double stretch = s == clamped ? 1 - k_ * x : 1;  // beyond the range the object goes on rigidly
+    const double c = std::cos(th), d = std::sin(th);
+    return outer(side_, side_) + outer(axis_, (c * stretch) * axis_ - d * toward_) +
+           outer(toward_, (d * stretch) * axis_ + c * toward_);
+  }
+  double lengthScale() const override { return reciprocalLength(k_); }
+
+ private:
+  Vec3 origin_, axis_, toward_, side_;
+  double k_;  // radians per unit
+  double low_, high_;
+};
+
+class WaveMap final : public SpaceMap {
+ public:
+  WaveMap(const Vec3& origin, const Vec3& axis, const Vec3& direction, double amplitude, double wavelength,
+          double phase)
+      : origin_(origin),
+        axis_(axis),
+        direction_(direction),
+        amplitude_(amplitude),
+        k_(2 * kPi / wavelength),
+        phase_(phase) {}
+  Vec3 map(const Vec3& p) const override { return p + (amplitude_ * std::sin(angle(p))) * direction_; }
+  Mat3 jacobian(const Vec3& p) const override {
+    return Mat3{} + (amplitude_ * k_ * std::cos(angle(p))) * outer(direction_, axis_);
+  }
+  double lengthScale() const override { return 1 / k_; }
+
+ private:
+  double angle(const Vec3& p) const { return k_ * dot(p - origin_, axis_) + phase_; }
+  Vec3 origin_, axis_, direction_;
+  double amplitude_, k_, phase_;  // units, radians per unit, radians
+};
+
+// p' = p + the Bernstein sum of the control points' displacements: the same as the sum of the control points, since the
+// lattice at rest reproduces p, but exact where nothing moved.
+class LatticeMap final : public SpaceMap {
+ public:
+  LatticeMap(const Vec3& min, const Vec3& max, const std::array<int, 3>& resolution, const std::vector<Vec3>& points)
+      : min_(min), max_(max), resolution_(resolution), moved_(points.size()) {
+    std::size_t index = 0;
+    for (int k = 0; k < resolution[2]; ++k)
+      for (int j = 0; j < resolution[1]; ++j)
+        for (int i = 0; i < resolution[0]; ++i, ++index) {
+          moved_[index] = points[index] - restPoint({i, j, k});
+          const bool wall =
+              i == 0 || i == resolution[0] - 1 || j == 0 || j == resolution[1] - 1 || k == 0 || k == resolution[2] - 1;
+          if (wall) wall_motion_ = std::max(wall_motion_, length(moved_[index]));
+        }
+  }
+  Vec3 map(const Vec3& p) const override {
+    Basis basis[3];
+    if (!bases(p, basis)) return p;
+    return p + sum(basis[0].value, basis[1].value, basis[2].value);
+  }
+  Mat3 jacobian(const Vec3& p) const override {
+    Basis basis[3];
+    if (!bases(p, basis)) return Mat3{};
+    return Mat3{} + Mat3::fromColumns(sum(basis[0].slope, basis[1].value, basis[2].value),
+                                      sum(basis[0].value, basis[1].slope, basis[2].value),
+                                      sum(basis[0].value, basis[1].value, basis[2].slope));
+  }
+  double lengthScale() const override {
+    double least = kInfinity;
+    for (int a = 0; a < 3; ++a) least = std::min(least, (max_[a] - min_[a]) / (resolution_[a] - 1));
+    return least;
+  }
+  double wallMotion() const { return wall_motion_; }
+
+ private:
+  using Values = std::array<double, kMostLatticePoints>;
+  struct Basis {
+    Values value, slope;  ///< Bernstein polynomials and their derivatives per unit
+  };
+  Vec3 restPoint(const std::array<int, 3>& index) const {
+    Vec3 p;
+    for (int a = 0; a < 3; ++a) p[a] = min_[a] + (max_[a] - min_[a]) * index[a] / (resolution_[a] - 1);
+    return p;
+  }
+  // False outside the box.
+  bool bases(const Vec3& p, Basis basis[3]) const {
+    for (int a = 0; a < 3; ++a) {
+      const double extent = max_[a] - min_[a], t = (p[a] - min_[a]) / extent;
+      if (!(t >= 0 && t <= 1)) return false;
+      const int degree = resolution_[a] - 1;
+      // Degree by degree, by convex combinations alone; the last step but one gives the slopes.
+      Values& b = basis[a].value;
+      b[0] = 1;
+      for (int n = 1; n <= degree; ++n) {
+        if (n == degree)
+          for (int i = 0; i <= degree; ++i)
+            basis[a].slope[i] = degree * ((i > 0 ? b[i - 1] : 0) - (i < degree ? b[i] : 0)) / extent;
+        b[n] = t * b[n - 1];
+        for (int i = n - 1; i > 0; --i) b[i] = (1 - t) * b[i] + t * b[i - 1];
+        b[0] *= 1 - t;
+      }
+    }
+    return true;
+  }
+  Vec3 sum(const Values& x, const Values& y, const Values& z) const {
+    Vec3 total;
+    std::size_t index = 0;
+    for (int k = 0; k < resolution_[2]; ++k)
+      for (int j = 0; j < resolution_[1]; ++j)
+        for (int i = 0; i < resolution_[0]; ++i, ++index) total += (x[i] * y[j] * z[k]) * moved_[index];
+    return total;
+  }
+  Vec3 min_, max_;
+  std::array<int, 3> resolution_;
+  std::vector<Vec3> moved_;
+  double wall_motion_ = 0;
+};
+
+// Reads the parameters of one entry of the list and remembers the frames of their keys.
+class Parameters {
+ public:
+  Parameters(const JsonNode& node, std::vector<double>& key_frames) : node_(node), key_frames_(key_frames) {}
+
+  Animated<double> number(const JsonNode& node) { return remember(readAnimatedNumber(node)); }
+  Animated<Vec3> vec3(const JsonNode& node) { return remember(readAnimatedVec3(node)); }
+  Animated<double> number(const char* key) { return number(node_[key]); }
+  Animated<Vec3> vec3(const char* key) { return vec3(node_[key]); }
+  Animated<Vec3> origin() { return node_.has("origin") ? vec3("origin") : Animated<Vec3>(Vec3{}); }
+  const JsonNode& node() const { return node_; }
+
+ private:
+  template <class T>
+  Animated<T> remember(Animated<T> value) {
+    if (!value.constant())
+      for (const auto& key : value.keys()) key_frames_.push_back(key.first);
+    return value;
+  }
+  const JsonNode& node_;
+  std::vector<double>& key_frames_;
+};
+
+using MapPointer = std::shared_ptr<const SpaceMap>;
+using MakeMap = std::function<MapPointer(double frame)>;  ///< throws bad_input where the frame's parameters make no map
+
+std::string atFrame(double frame) {
+  std::string text = std::to_string(frame);
+  text.erase(text.find_last_not_of('0') + 1);
+  if (text.back() == '.') text.pop_back();
+  return " at frame " + text;
+}
+
+// The direction of a vector parameter.
+Vec3 unit(const Animated<Vec3>& value, double frame, const JsonNode& node, const char* key) {
+  const auto direction = normalize(Vector<AcquisitionSpace>(value.at(frame)));
+  if (!direction) throw node[key].error("has no direction" + atFrame(frame) + "; expected a vector of non-zero length");
+  return direction->raw();
+}
+
+MakeMap parseAffine(Parameters& in) {
+  const JsonNode node = in.node();
+  node.onlyKeys({"type", "matrix"});
+  const JsonNode matrix = node["matrix"];
+  if (matrix.size() != 4) throw matrix.error("has " + std::to_string(matrix.size()) + " rows, expected 4");
+  std::array<std::array<Animated<double>, 4>, 4> entries;
+  for (int i = 0; i < 4; ++i) {
+    const JsonNode row = matrix.at(i);
+    if (row.size() != 4) throw row.error("has " + std::to_string(row.size()) + " numbers, expected 4");
+    for (int j = 0; j < 4; ++j) entries[i][j] = i < 3 ? in.number(row.at(j)) : Animated<double>(row.at(j).number());
+  }
+  for (int j = 0; j < 4; ++j)
+    if (entries[3][j].at(0) != (j == 3)) throw matrix.at(3).error("expected the last row 0 0 0 1");
+  return [entries, matrix](double frame) -> MapPointer {
+    Mat3 linear;
+    Vec3 translation;
+    double rows = 1;
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) linear.row[i][j] = entries[i][j].at(frame);
+      translation[i] = entries[i][3].at(frame);
+      rows *= length(linear.row[i]);
+    }
+    // Against the product of the rows' lengths a strong squeeze stays legal, while dependent rows leave rounding alone.
+    if (!(std::fabs(determinant(linear)) > 1e-14 * rows))
+      throw matrix.error("is singular" + atFrame(frame) + ": it flattens space; expected an invertible matrix");
+    return std::make_shared<AffineMap>(linear, translation);
+  };
+}
+
+MakeMap parseTwist(Parameters& in) {
+  const JsonNode node = in.node();
+  node.onlyKeys({"type", "origin", "axis", "degrees_per_unit"});
+  return [node, origin = in.origin(), axis = in.vec3("axis"), k = in.number("degrees_per_unit")](double frame) {
+    return std::make_shared<TwistMap>(origin.at(frame), unit(axis, frame, node, "axis"), radians(k.at(frame)));
+  };
+}
+
+MakeMap parseTaper(Parameters& in) {
+  const JsonNode node = in.node();
+  node.onlyKeys({"type", "origin", "axis", "per_unit"});
+  return [node, origin = in.origin(), axis = in.vec3("axis"), k = in.number("per_unit")](double frame) {
+    return std::make_shared<TaperMap>(origin.at(frame), unit(axis, frame, node, "axis"), k.at(frame));
+  };
+}
+
+MakeMap parseBend(Parameters& in) {
+  const JsonNode node = in.node();
+  node.onlyKeys({"type", "origin", "axis", "toward", "degrees_per_unit", "range"});
+  Animated<double> low(-kInfinity), high(kInfinity);
+  if (const auto range = node.find("range")) {
+    if (range->size() != 2) throw range->error("has " + std::to_string(range->size()) + " numbers, expected [lo, hi]");
+    low = in.number(range->at(0)), high = in.number(range->at(1));
+  }
+  return [node, low, high, origin = in.origin(), axis = in.vec3("axis"), toward = in.vec3("toward"),
+          k = in.number("degrees_per_unit")](double frame) {
+    const Vec3 a = unit(axis, frame, node, "axis"), t = unit(toward, frame, node, "toward");
+    const Vec3 across = cross(cross(a, t), a);
+    if (!(length(across) > kParallelSine))
+      throw node["toward"].error("is parallel to the axis" + atFrame(frame) + "; expected a vector across it");
+    if (!(low.at(frame) <= high.at(frame)))
+      throw node["range"].error("has lo above hi" + atFrame(frame) + "; expected [lo, hi]");
+    return std::make_shared<BendMap>(origin.at(frame), a, across / length(across), radians(k.at(frame)), low.at(frame),
+                                     high.at(frame));
+  };
+}
+
+MakeMap parseWave(Parameters& in) {
+  const JsonNode node = in.node();
+  node.onlyKeys({"type", "origin", "axis", "direction", "amplitude", "wavelength", "phase"});
+  const Animated<double> phase = node.has("phase") ? in.number("phase") : Animated<double>(0.0);
+  return [node, phase, origin = in.origin(), axis = in.vec3("axis"), direction = in.vec3("direction"),
+          amplitude = in.number("amplitude"), wavelength = in.number("wavelength")](double frame) {
+    if (!(wavelength.at(frame) > 0))
+      throw node["wavelength"].error("is not positive" + atFrame(frame) + "; expected a length in units");
+    return std::make_shared<WaveMap>(origin.at(frame), unit(axis, frame, node, "axis"),
+                                     unit(direction, frame, node, "direction"), amplitude.at(frame),
+                                     wavelength.at(frame), radians(phase.at(frame)));
+  };
+}
+
+MakeMap parseFfd(Parameters& in) {
+  const JsonNode node = in.node();
+  node.onlyKeys({"type", "min", "max", "resolution", "points"});
+  const JsonNode counts = node["resolution"], list = node["points"];
+  if (counts.size() != 3) throw counts.error("has " + std::to_string(counts.size()) + " numbers, expected [l, m, n]");
+  std::array<int, 3> resolution;
+  std::size_t expected = 1;
+  for (int a = 0; a < 3; ++a) expected *= resolution[a] = static_cast<int>(counts.at(a).integer(2, kMostLatticePoints));
+  if (list.size() != expected)
+    throw list.error("has " + std::to_string(list.size()) + " points, expected the " + std::to_string(expected) +
+                     " of the resolution (x fastest)");
+  std::vector<Animated<Vec3>> points;
+  for (std::size_t i = 0; i < expected; ++i) points.push_back(in.vec3(list.at(i)));
+  return [node, resolution, points, low = in.vec3("min"), high = in.vec3("max")](double frame) {
+    const Vec3 min = low.at(frame), max = high.at(frame);
+    for (int a = 0; a < 3; ++a)
+      if (!(min[a] < max[a])) throw node["max"].error("is not above min on every axis" + atFrame(frame));
+    std::vector<Vec3> now(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) now[i] = points[i].at(frame);
+    return std::make_shared<LatticeMap>(min, max, resolution, now);
+  };
+}
+
+}  // namespace
+
+bool Deformation::rigid() const {
+  return std::all_of(steps_.begin(), steps_.end(), [](const auto& step) { return step->rigid(); });
+}
+
+Point<ObjectSpace> Deformation::map(const Point<AcquisitionSpace>& p0) const {
+  Vec3 p = p0.raw();
+  for (const auto& step : steps_) p = step->map(p);
+  return Point<ObjectSpace>(p);
+}
+
+Linear<ObjectSpace, AcquisitionSpace> Deformation::jacobian(const Point<AcquisitionSpace>& p0) const {
+  Vec3 p = p0.raw();
+  Mat3 total;
+  for (const auto& step : steps_) {
+    total = step->jacobian(p) * total;
+    p = step->map(p);
+  }
+  return Linear<ObjectSpace, AcquisitionSpace>(total);
+}
+
+Linear<ObjectSpace, AcquisitionSpace> Deformation::differences(const Point<AcquisitionSpace>& p0,
+                                                               double object_diameter) const {
+  // A later step changes over a length that the steps before it have stretched: taken back by their growth here.
+  double change = object_diameter > 0 && std::isfinite(object_diameter) ? object_diameter : 1.0;
+  Vec3 p = p0.raw();
+  Mat3 total;
+  for (const auto& step : steps_) {
+    double growth = 0;
+    for (const Vec3& row : total.row) growth += dot(row, row);
+    change = std::min(change, step->lengthScale() / std::sqrt(growth));
+    total = step->jacobian(p) * total;
+    p = step->map(p);
+  }
+  // A power of two; the division is by the distance that the rounded points really have.
+  const double epsilon = std::exp2(std::floor(std::log2(kStepOfLength * change)));
+  Vec3 column[3];
+  for (int a = 0; a < 3; ++a) {
+    Vec3 before = p0.raw(), after = p0.raw();
+    before[a] -= epsilon;
+    after[a] += epsilon;
+    column[a] =
+        (map(Point<AcquisitionSpace>(after)) - map(Point<AcquisitionSpace>(before))).raw() / (after[a] - before[a]);
+  }
+  return Linear<ObjectSpace, AcquisitionSpace>(Mat3::fromColumns(column[0], column[1], column[2]));  // Eq. 6
+}
+
+struct AnimatedDeformation::Step {
+  MakeMap make;
+  bool constant = true;
+};
+
+AnimatedDeformation AnimatedDeformation::parse(const JsonNode& list, const std::filesystem::path& folder,
+                                               Reporter& reporter) {
+  static constexpr std::array<MakeMap (*)(Parameters&), 6> kParsers{parseAffine, parseTwist, parseTaper,
+                                                                    parseBend,   parseWave,  parseFfd};
+  AnimatedDeformation result;
+  for (std::size_t i = 0; i < list.size(); ++i) {
+    const JsonNode node = list.at(i);
+    const std::size_t type = node["type"].choice({"affine", "twist", "taper", "bend", "wave", "ffd", "sequence"});
+    if (type == kParsers.size()) {
+      node.onlyKeys({"type", "file"});
+      if (i != 0) throw node.error("a sequence moves the model's own vertices; expected it as the first deformation");
+      const std::string pattern = node["file"].string();
+      if (std::filesystem::path(pattern).filename().string().find('#') == std::string::npos)
+        throw node["file"].error("found '" + pattern + "', expected a pattern such as name.####.ply");
+      result.sequence_pattern_ = (folder / pattern).string();
+      continue;
+    }
+    std::vector<double> key_frames;
+    Parameters parameters(node, key_frames);
+    auto step = std::make_shared<Step>();
+    step->make = kParsers[type](parameters);
+    step->constant = key_frames.empty();
+    // Every key is tried now, so that a fault shows before anything is rendered.
+    if (step->constant) key_frames.push_back(0);
+    double wall_motion = 0;
+    for (const double frame : key_frames) {
+      const MapPointer map = step->make(frame);
+      if (const auto* lattice = dynamic_cast<const LatticeMap*>(map.get()))
+        wall_motion = std::max(wall_motion, lattice->wallMotion() / lattice->lengthScale());
+    }
+    if (wall_motion > 1e-9)
+      reporter.warn(
+          node.where() +
+          ": control points on the box's walls are moved; points outside the box are left alone, "
+          "so the surface tears where it crosses a wall. Make the box hold the whole object, or leave its outer "
+          "control points in place");
+    result.steps_.push_back(std::move(step));
+  }
+  return result;
+}
+
+Deformation AnimatedDeformation::at(double frame) const {
+  std::vector<MapPointer> maps;
+  maps.reserve(steps_.size());
+  for (const auto& step : steps_) maps.push_back(step->make(frame));
+  return Deformation(std::move(maps));
+}
+
+bool AnimatedDeformation::constant() const {
+  return !hasSequence() && std::all_of(steps_.begin(), steps_.end(), [](const auto& step) { return step->constant; });
+}
+
+bool AnimatedDeformation::hasSequence() const {
+  return !sequence_pattern_.empty();
+}
+
+std::vector<Point<ObjectSpace>> AnimatedDeformation::sequencePositions(int frame, const AcquisitionMesh& rest) const {
+  // The last run of # in the name becomes the frame, filled with zeros.
+  std::string file = sequence_pattern_;
+  const std::size_t last = file.find_last_of('#'), before = file.find_last_not_of('#', last);
+  const std::size_t first = before == std::string::npos ? 0 : before + 1;
+  std::string digits = std::to_string(std::abs(frame));
+  if (digits.size() < last - first + 1) digits.insert(0, last - first + 1 - digits.size(), '0');
+  file.replace(first, last - first + 1, (frame < 0 ? "-" : "") + digits);
+
+  const AcquisitionMesh mesh = readMesh(file);
+  const auto different = [&file](const std::string& what, std::size_t found, std::size_t expected) {
+    return badInput(file, "has " + std::to_string(found) + " " + what + ", the model's rest mesh has " +
+                              std::to_string(expected) + "; a sequence keeps the mesh that the model was made from");
+  };
+  if (mesh.positions.size() != rest.positions.size())
+    throw different("vertices", mesh.positions.size(), rest.positions.size());
+  if (mesh.triangles.size() != rest.triangles.size())
+    throw different("triangles", mesh.triangles.size(), rest.triangles.size());
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
+    // The rest mesh may have been turned outwards: the corners count, not their order.
+    Triangle a = mesh.triangles[t], b = rest.triangles[t];
+    std::sort(a.begin(), a.end());
+    std::sort(b.begin(), b.end());
+    if (a == b) continue;
+    const auto corners = [](const Triangle& c) {
+      return std::to_string(c[0]) + " " + std::to_string(c[1]) + " " + std::to_string(c[2]);
+    };
+    throw badInput(file, "triangle " + std::to_string(t) + " joins vertices " + corners(mesh.triangles[t]) +
+                             ", in the model's rest mesh " + corners(rest.triangles[t]) +
+                             "; a sequence keeps the mesh that the model was made from");
+  }
+  std::vector<Point<ObjectSpace>> positions(mesh.positions.size());
+  for (std::size_t i = 0; i < positions.size(); ++i) positions[i] = Point<ObjectSpace>(mesh.positions[i].raw());
+  return positions;
+}
+
+}  // namespace srf
