@@ -1,0 +1,38 @@
+// A small SRF of the unit sphere whose reflectance is a formula: written straight into a store, so that a picture of it
+// has a known answer which no other stage of the program had a part in.
+#pragma once
+
+#include <filesystem>
+#include <functional>
+
+#include "field/srf_folder.h"
+#include "model/deformable_model.h"
+
+namespace srf::test {
+
+/// Reflectance (1/sr, cosine inside) of the surface point p = normal of the unit sphere.
+using ReflectanceFormula = std::function<Vec3(const Vec3& p, const Vec3& l, const Vec3& v)>;
+
+struct FormulaFieldOptions {
+  int views = 24, lights = 64;  ///< on Fibonacci spheres
+  int size = 64;                ///< pixels a side
+  int subdivision = 5;          ///< of an octahedron: 8 * 4^n triangles
+  double view_distance = 4;
+  bool near_lights = false;     ///< point lights at distance 3 instead of directional ones
+};
+
+struct FormulaField {
+  std::filesystem::path folder;
+  SrfManifest manifest;
+  DeformableModel model;
+};
+
+FormulaField makeSphereField(const std::filesystem::path& srf_folder, const FormulaFieldOptions& options,
+                             const ReflectanceFormula& reflectance);
+
+/// Point i of n on a Fibonacci sphere.
+Vec3 fibonacci(int i, int n);
+/// The unit sphere as a subdivided octahedron with exact normals.
+AcquisitionMesh unitSphere(int subdivision);
+
+}  // namespace srf::test
