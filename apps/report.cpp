@@ -1,0 +1,263 @@
+#include "apps/report.h"
+
+#include <algorithm>
+#include <cstdarg>
+#include <cstdio>
+#include <set>
+
+#include "apps/program.h"
+#include "base/files.h"
+#include "base/numeric.h"
+
+namespace srf {
+namespace {
+
+std::string format(const char* pattern, ...) __attribute__((format(printf, 1, 2)));
+std::string format(const char* pattern, ...) {
+  char text[512];
+  va_list values;
+  va_start(values, pattern);
+  std::vsnprintf(text, sizeof text, pattern, values);
+  va_end(values);
+  return text;
+}
+
+std::string escaped(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    if (c == '&')
+      out += "&amp;";
+    else if (c == '<')
+      out += "&lt;";
+    else if (c == '>')
+      out += "&gt;";
+    else if (c == '"')
+      out += "&quot;";
+    else
+      out += c;
+  }
+  return out;
+}
+
+std::string base64(const std::vector<std::byte>& bytes) {
+  static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::string out;
+  out.reserve((bytes.size() + 2) / 3 * 4);
+  for (std::size_t i = 0; i < bytes.size(); i += 3) {
+    const std::size_t left = std::min<std::size_t>(3, bytes.size() - i);
+    std::uint32_t group = 0;
+    for (std::size_t k = 0; k < 3; ++k)
+      group = group << 8 | (k < left ? std::to_integer<std::uint32_t>(bytes[i + k]) : 0);
+    for (std::size_t k = 0; k < 4; ++k) out += k <= left ? kDigits[group >> (18 - 6 * k) & 63] : '=';
+  }
+  return out;
+}
+
+std::string viewName(const StoredView& view) {
+  return escaped(view.name.substr(0, 60));
+}
+
+constexpr const char* kStyle = R"(
+body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:960px;margin:2em auto;padding:0 1em}
+h1{font-size:1.6em;margin-bottom:0}h2{font-size:1.15em;margin:2em 0 .3em;border-bottom:1px solid #ddd}
+p{margin:.4em 0}.note{color:#666}table{border-collapse:collapse}td,th{padding:.15em 1em .15em 0;text-align:left;vertical-align:top}
+td.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%;background:#000}svg{max-width:100%;height:auto}
+code{background:#f4f4f4;padding:0 .3em}.bar{background:#4a7ebb;height:.8em;min-width:1px}.warn{color:#a33}
+svg text{font:11px system-ui,sans-serif;fill:#555})";
+
+std::string row(const std::string& name, const std::string& value) {
+  return "<tr><td>" + escaped(name) + "</td><td>" + escaped(value) + "</td></tr>\n";
+}
+
+std::string lightsText(const SrfManifest& field) {
+  if (field.unknownIllumination()) return "the one unknown illumination of the photographs";
+  std::set<std::vector<LightId>> sets;
+  std::size_t least = SIZE_MAX, most = 0;
+  for (const StoredView& view : field.views) {
+    if (view.file.empty()) continue;
+    sets.insert(view.lights);
+    least = std::min(least, view.lights.size());
+    most = std::max(most, view.lights.size());
+  }
+  std::string text = std::to_string(field.lights.size());
+  if (sets.size() > 1) text += format(", %zu to %zu in a view, %zu different sets", least, most, sets.size());
+  return text;
+}
+
+std::string summary(const PipelineReport& report) {
+  const std::string& units = report.field.units;
+  std::string out =
+      "<table>\n" + row("views", std::to_string(report.field.views.size())) + row("lights", lightsText(report.field));
+  if (report.hull) {
+    const MeshTopology topology = meshTopology(*report.hull);
+    out += row("hull", format("%zu triangles, %s, volume %.4g %s³", report.hull->triangles.size(),
+                              topology.closed ? "closed" : "NOT closed", meshVolume(*report.hull), units.c_str()));
+  }
+  if (const auto cell = report.figures.find("hull.cell"); cell != report.figures.end())
+    out += row("finest hull cell", format("%.4g %s", cell->second, units.c_str()));
+  out += row("model", report.model) +
+         row("size of the object", format("%.4g %s along the diagonal", report.bounds.diameter(), units.c_str()));
+  double seconds = 0;
+  std::size_t rendered = 0;
+  for (const RenderedFrame& frame : report.frames)
+    if (!frame.kept) seconds += frame.seconds, ++rendered;
+  std::string frames = std::to_string(report.frames.size());
+  if (rendered < report.frames.size())
+    frames += format(", %zu of them kept from an earlier run", report.frames.size() - rendered);
+  if (rendered > 0) frames += format(", %.2f s a rendered frame", seconds / static_cast<double>(rendered));
+  out += row("frames", frames);
+  if (!report.video.empty()) out += row("video", report.video.filename().string());
+  return out + "</table>\n";
+}
+
+std::string frames(const PipelineReport& report) {
+  std::string list;
+  for (const int frame : report.sheet_frames) list += (list.empty() ? "" : ", ") + std::to_string(frame);
+  return "<h2>Frames</h2>\n<img alt=\"contact sheet\" src=\"data:image/png;base64," +
+         base64(readBinaryFile(report.contact_sheet)) + "\">\n<p class=\"note\">Frames " + list +
+         format(", row by row. Shown with exposure %.3g and the sRGB curve; the EXR frames are linear.</p>\n",
+                report.exposure);
+}
+
+// Bars of 1 - IoU: what is wrong is what one wants to see.
+std::string hullAgreement(const PipelineReport& report) {
+  std::string out = "<h2>How the hull agrees with each silhouette</h2>\n";
+  std::vector<double> wrong;
+  for (const StoredView& view : report.field.views) wrong.push_back(100 * (1 - view.silhouette_iou));
+  if (!report.hull || wrong.empty()) return out + "<p>No hull was carved for this field.</p>\n";
+  const std::size_t worst = static_cast<std::size_t>(std::max_element(wrong.begin(), wrong.end()) - wrong.begin());
+  double sum = 0;
+  for (const double w : wrong) sum += w;
+  const double mean = sum / static_cast<double>(wrong.size()), top = std::max(wrong[worst] * 1.1, 0.1);
+  const double width = 900, height = 180, left = 46, bottom = 24;
+  const double step = (width - left) / static_cast<double>(wrong.size());
+  const auto y = [&](double w) { return (height - bottom) * (1 - w / top); };
+  out += format("<svg viewBox=\"0 0 %g %g\" width=\"%g\">\n", width, height, width);
+  for (const double tick : {0.0, top / 2, top})
+    out += format(
+        "<line x1=\"%g\" x2=\"%g\" y1=\"%.1f\" y2=\"%.1f\" stroke=\"#ddd\"/><text x=\"%g\" y=\"%.1f\" "
+        "text-anchor=\"end\">%.2g %%</text>\n",
+        left, width, y(tick), y(tick), left - 4, std::max(10.0, y(tick) + 4), tick);
+  for (std::size_t i = 0; i < wrong.size(); ++i)
+    out += format(
+        "<rect x=\"%.2f\" y=\"%.2f\" width=\"%.2f\" height=\"%.2f\" fill=\"%s\"><title>%s: IoU %.4f</title></rect>\n",
+        left + step * static_cast<double>(i), y(wrong[i]), std::max(0.5, step * 0.8), height - bottom - y(wrong[i]),
+        i == worst ? "#c0392b" : "#4a7ebb", viewName(report.field.views[i]).c_str(),
+        report.field.views[i].silhouette_iou);
+  out += format("<text x=\"%g\" y=\"%g\">%s</text><text x=\"%g\" y=\"%g\" text-anchor=\"end\">%s</text></svg>\n", left,
+                height - 8, viewName(report.field.views.front()).c_str(), width, height - 8,
+                viewName(report.field.views.back()).c_str());
+  return out +
+         format("<p>Worst: <b>%s</b>, IoU %.4f. Mean IoU %.4f.</p>\n", viewName(report.field.views[worst]).c_str(),
+                1 - wrong[worst] / 100, 1 - mean / 100) +
+         "<p class=\"note\">A bar is the share of pixels in which the projected hull and the mask of that view differ "
+         "(1 - "
+         "intersection over union). Bars of like height are the pixel grid and the hull's resolution. One bar far "
+         "above its "
+         "neighbours is a view whose mask or pose is wrong: look at its mask first, then at its pose, or leave the "
+         "view out.</p>\n";
+}
+
+// Lambert's azimuthal projection keeps areas, so an uneven spread looks uneven.
+struct HemisphereMap {
+  std::string svg[2];
+  std::set<std::pair<long, long>> taken[2];
+  static constexpr double kRadius = 190;
+
+  void add(const Vec3& direction, bool light) {
+    const int half = direction.z >= 0 ? 0 : 1;
+    const double in_plane = std::hypot(direction.x, direction.y);
+    const double r = kRadius * std::sqrt(std::max(0.0, 1 - std::fabs(direction.z)));
+    const double x = in_plane > 0 ? r * direction.x / in_plane : 0, y = in_plane > 0 ? -r * direction.y / in_plane : 0;
+    if (light && !taken[half].emplace(std::lround(x), std::lround(y)).second) return;
+    svg[half] += light ? format("<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"#e0a010\"/>\n", x, y)
+                       : format(
+                             "<rect x=\"%.1f\" y=\"%.1f\" width=\"6\" height=\"6\" fill=\"none\" stroke=\"#2a5d9f\" "
+                             "stroke-width=\"1.5\"/>\n",
+                             x - 3, y - 3);
+  }
+};
+
+std::string lightMap(const PipelineReport& report) {
+  const Point<AcquisitionSpace> center = report.bounds.empty() ? Point<AcquisitionSpace>() : report.bounds.center();
+  HemisphereMap map;
+  for (const CaptureLight& light : report.field.lights)
+    if (light.kind != LightKind::captured) map.add(light.directionFrom(center).raw(), true);
+  for (const StoredView& view : report.field.views) map.add(view.camera.viewDirection(center).raw(), false);
+  std::string out = "<h2>Where light and views came from</h2>\n<svg viewBox=\"0 0 900 440\" width=\"900\">\n";
+  for (int half = 0; half < 2; ++half) {
+    out += format(
+        "<g transform=\"translate(%d,215)\"><circle r=\"%g\" fill=\"#fafafa\" stroke=\"#bbb\"/>"
+        "<path d=\"M-%g 0H%gM0 -%gV%g\" stroke=\"#e4e4e4\"/>\n",
+        half ? 670 : 230, HemisphereMap::kRadius, HemisphereMap::kRadius, HemisphereMap::kRadius,
+        HemisphereMap::kRadius, HemisphereMap::kRadius);
+    for (const int degrees : {30, 60})
+      out += format("<circle r=\"%.1f\" fill=\"none\" stroke=\"#e4e4e4\"/>\n",
+                    HemisphereMap::kRadius * std::sqrt(1 - std::cos(radians(degrees))));
+    out += map.svg[half] + format(
+                               "<text x=\"%g\" y=\"4\">+x</text><text y=\"-%g\" text-anchor=\"middle\">+y</text>"
+                               "<text y=\"%g\" text-anchor=\"middle\">%s</text></g>\n",
+                               HemisphereMap::kRadius + 4, HemisphereMap::kRadius + 4, HemisphereMap::kRadius + 18,
+                               half ? "below: -z at the centre, seen through from above" : "above: +z at the centre");
+  }
+  out += "</svg>\n<p class=\"note\">Directions from the object's centre: ";
+  out += report.field.unknownIllumination() ? "squares are views. The light of the photographs is unknown, so there is "
+                                              "none to draw: this field can be lit as it was "
+                                              "photographed alone."
+                                            : "yellow dots are acquired lights, blue squares are views.";
+  return out +
+         " Areas are true, rings stand at 30 and 60 degrees from the pole. Where a region holds neither, what is shown "
+         "from "
+         "there or lit from there is extrapolated from its neighbours; highlights are blurred over the distance "
+         "between lights.</p>\n";
+}
+
+std::string timings(const PipelineReport& report) {
+  std::string out = "<h2>Time</h2>\n<table>\n";
+  double most = 1e-9;
+  for (const auto& stage : report.stages) most = std::max(most, stage.seconds);
+  for (const auto& stage : report.stages)
+    out += "<tr><td>" + escaped(stage.name) +
+           format("</td><td class=\"n\">%.2f s</td><td class=\"n\">%llu</td>", stage.seconds,
+                  static_cast<unsigned long long>(stage.steps)) +
+           format("<td style=\"width:420px\"><div class=\"bar\" style=\"width:%.1f%%\"></div></td></tr>\n",
+                  100 * stage.seconds / most);
+  return out +
+         "</table>\n<p class=\"note\">Seconds and steps of each stage; a stage inside another counts in both. Stages "
+         "that an earlier "
+         "run had finished are shown with the time they took then.</p>\n";
+}
+
+std::string warnings(const PipelineReport& report) {
+  std::string out = "<h2>Warnings</h2>\n";
+  if (report.warnings.empty()) return out + "<p>None.</p>\n";
+  out += "<ul>\n";
+  for (const std::string& text : report.warnings) out += "<li class=\"warn\">" + escaped(text) + "</li>\n";
+  return out + "</ul>\n";
+}
+
+std::string counters(const PipelineReport& report) {
+  std::string out = "<h2>Counters and figures</h2>\n<table>\n";
+  for (const auto& [name, count] : report.counters)
+    out += "<tr><td>" + escaped(name) +
+           format("</td><td class=\"n\">%llu</td></tr>\n", static_cast<unsigned long long>(count));
+  for (const auto& [name, value] : report.figures)
+    out += "<tr><td>" + escaped(name) + format("</td><td class=\"n\">%.6g</td></tr>\n", value);
+  return out +
+         "</table>\n<p class=\"note\">Counts of what was met on the way, over all frames. None of them is a failure; a "
+         "count that is a "
+         "large share of its kind (pixels that are not finite, tangents that collapsed) is worth a look.</p>\n";
+}
+
+}  // namespace
+
+std::string reportPage(const PipelineReport& report) {
+  return "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>" + escaped(report.field.source) +
+         ": reflectance field report</title><style>" + kStyle + "</style></head><body>\n<h1>" +
+         escaped(report.field.source) + "</h1>\n<p class=\"note\">" + escaped(report.scene.string()) + ", srf " +
+         projectVersion() + "</p>\n<p><code>" + escaped(report.command) + "</code></p>\n" + summary(report) +
+         frames(report) + warnings(report) + hullAgreement(report) + lightMap(report) + timings(report) +
+         counters(report) + "</body></html>\n";
+}
+
+}  // namespace srf
