@@ -120,7 +120,6 @@ class Journal {
              {"counters", Json::object()},
              {"figures", Json::object()}};
 };
-};
 
 // Every frame, or `most` of them spread evenly from first to last.
 std::vector<RenderedFrame> spread(const std::vector<RenderedFrame>& frames, std::size_t most) {
@@ -196,6 +195,7 @@ void runPipeline(const PipelineOptions& options, Reporter& reporter) {
   try {
     journal.step("video", video_stamp.text(), fs::exists(video),
                  [&] { writeVideo(video, frames, scene.fps, report.exposure, reporter); });
+    report.video = video;
   } catch (const Error& e) {
     throwIfInterrupted();  // Ctrl-C ends ffmpeg too
     reporter.warn(std::string("no video: ") + e.what());
@@ -212,7 +212,6 @@ void runPipeline(const PipelineOptions& options, Reporter& reporter) {
                  model.shape;
   report.bounds = model.bounds();
   report.frames = frames;
-  if (fs::exists(video)) report.video = video;
   journal.fill(report);
   writeTextFile(out / "report.html", reportPage(report));
 }
