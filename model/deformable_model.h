@@ -52,6 +52,10 @@ struct DeformableModel {
   double positional_error = 0;                      ///< how far the surface may be off, units (half a voxel for a hull)
 
   std::size_t size() const { return p0.size(); }
+  /// The mesh that a mesh sequence moves: the triangles themselves, or what the surfels were sampled from.
+  AcquisitionMesh restMesh() const {
+    return kind == ModelKind::mesh ? AcquisitionMesh{p0, triangles, {}} : rest_mesh;
+  }
   Box<AcquisitionSpace> bounds() const {
     Box<AcquisitionSpace> box;
     for (const auto& p : p0) box.extend(p);

@@ -1,1 +1,296 @@
-// (written next)
+#include "model/deformed_model.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "base/check.h"
+#include "base/parallel.h"
+
+namespace srf {
+namespace {
+
+constexpr std::size_t kGrain = 2048;  // points a task
+constexpr std::size_t kBatch = 256;   // rays traced at once
+// Coordinates beyond this would overflow the ray scene's floats once squared: such points are nowhere.
+constexpr double kFarthest = 1e18;
+
+// A splat is the ellipse {p* + a u + b v : a^2 + b^2 <= 1} of its tangents times its rest radius (M9). Its Gaussian
+// weight falls to 0 at that rim, which lies at kRimSigmas standard deviations (EWA-style; theory 5).
+constexpr double kSplatCutoff = 1;
+constexpr double kRimSigmas = 2;
+// A splat met at its very rim with no other near is still surface.
+constexpr double kLeastSplatWeight = 1e-6;
+// Splats blend with the first one met when they are this near behind it, in its half axes, and when their normals
+// agree.
+constexpr double kDepthWindow = 1.5;
+constexpr double kNormalCosine = 0.5;
+// In-plane phases further apart than 60 degrees are turned together before they are blended: opposed ones would cancel.
+constexpr double kPhaseCosine = 0.5;
+// Squared sine between blended rest tangents below which they are no frame: points of opposite normals were blended.
+constexpr double kNoFrame = 1e-8;
+
+double splatWeight(float a, float b) {
+  const double falloff = -0.5 * kRimSigmas * kRimSigmas;
+  static const double rim = std::exp(falloff * kSplatCutoff * kSplatCutoff);
+  return std::exp(falloff * (double{a} * a + double{b} * b)) - rim + kLeastSplatWeight;
+}
+
+Vec3 unitOr(const Vec3& a, const Vec3& otherwise) {
+  const double squared = dot(a, a);
+  return squared > 0 ? a / std::sqrt(squared) : otherwise;
+}
+
+}  // namespace
+
+DeformedModel::DeformedModel(const DeformableModel& model)
+    : model_(model), rest_frame_(model.size()), p_star_(model.size()), tangents_(model.size()) {
+  parallelFor(model.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) rest_frame_[i] = rotationFromRodrigues(model.r0[i]);
+  });
+  deform(Deformation());
+}
+
+void DeformedModel::deform(const Deformation& psi, const std::vector<Point<ObjectSpace>>* sequence) {
+  carry(psi, sequence);
+  updateScene();
+}
+
+void DeformedModel::carry(const Deformation& psi, const std::vector<Point<ObjectSpace>>* sequence) {
+  statistics_ = {};
+  const AcquisitionMesh rest = sequence ? model_.restMesh() : AcquisitionMesh();
+  MeshMotion motion;
+  if (sequence) {
+    if (!parts_) parts_ = meshParts(rest);
+    motion = meshMotion(rest, *parts_, *sequence);
+  }
+  // Each chunk counts for itself: the sum does not depend on the threads.
+  std::vector<DeformedStatistics> counts((model_.size() + kGrain - 1) / kGrain);
+  parallelFor(model_.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+    DeformedStatistics& count = counts[begin / kGrain];
+    for (std::size_t i = begin; i < end; ++i) {
+      const Mat3& frame = rest_frame_[i].raw();
+      Point<AcquisitionSpace> from = model_.p0[i];
+      Linear<ObjectSpace, AcquisitionSpace> gradient;
+      int handedness = 1;
+      if (sequence && model_.kind == ModelKind::mesh) {
+        from = Point<AcquisitionSpace>((*sequence)[i].raw());
+        gradient = motion.gradient[i];
+        handedness = motion.handedness[i];
+      } else if (sequence) {
+        const Triangle& corners = rest.triangles[model_.anchor_triangle[i]];
+        const auto [b1, b2] = model_.anchor_weights[i];
+        const double weights[3] = {1.0 - b1 - b2, b1, b2};
+        const Vec3 &a = (*sequence)[corners[0]].raw(), &b = (*sequence)[corners[1]].raw(),
+                   &c = (*sequence)[corners[2]].raw();
+        from = Point<AcquisitionSpace>(a + (weights[1] * (b - a) + weights[2] * (c - a)));
+        Mat3 sum = 0.0 * Mat3{};
+        for (int k = 0; k < 3; ++k) sum = sum + weights[k] * motion.gradient[corners[k]].raw();
+        gradient = Linear<ObjectSpace, AcquisitionSpace>(sum);
+        handedness = motion.handedness[corners[0]];
+      }
+      p_star_[i] = psi.map(from);
+      // M8: tangents by the analytic Jacobian (its check is Eq. 6), after the sequence by the chain rule.
+      const Linear<ObjectSpace, AcquisitionSpace> space = psi.jacobian(from);
+      const Mat3 jacobian = sequence ? space.raw() * gradient.raw() : space.raw();
+      if (determinant(space) < 0) handedness = -handedness;
+      tangents_[i] = {Vector<ObjectSpace>(jacobian * frame.column(0)), Vector<ObjectSpace>(jacobian * frame.column(1)),
+                      handedness};
+      const Vec3& p = p_star_[i].raw();
+      if (!(std::fabs(p.x) < kFarthest && std::fabs(p.y) < kFarthest && std::fabs(p.z) < kFarthest)) {
+        constexpr double kNowhere = std::numeric_limits<double>::quiet_NaN();
+        p_star_[i] = Point<ObjectSpace>(kNowhere, kNowhere, kNowhere);
+        ++count.not_finite;
+        continue;
+      }
+      count.mirrored += handedness < 0;
+      count.collapsed += deformedFrame(tangents_[i], FrameMode::bisector).collapsed;
+    }
+  });
+  for (const DeformedStatistics& count : counts) {
+    statistics_.not_finite += count.not_finite;
+    statistics_.mirrored += count.mirrored;
+    statistics_.collapsed += count.collapsed;
+  }
+  statistics_.unsure_handedness = motion.unsure;
+}
+
+void DeformedModel::updateScene() {
+  if (model_.kind == ModelKind::mesh) {
+    if (scene_) {
+      scene_->moveTriangles(p_star_);
+    } else {
+      scene_ = RayScene<ObjectSpace>::ofTriangles(p_star_, model_.triangles);
+    }
+    return;
+  }
+  splat_u_.resize(model_.size());
+  splat_v_.resize(model_.size());
+  longest_splat_ = 0;
+  for (std::size_t i = 0; i < model_.size(); ++i) {
+    const double radius = model_.radius[i];
+    splat_u_[i] = radius * tangents_[i].u;
+    splat_v_[i] = radius * tangents_[i].v;
+    const double longest = std::max(length(splat_u_[i]), length(splat_v_[i]));
+    if (isFinite(p_star_[i]) && std::isfinite(longest)) longest_splat_ = std::max(longest_splat_, longest);
+  }
+  if (scene_) {
+    scene_->moveSplats(p_star_, splat_u_, splat_v_);
+  } else {
+    scene_ = RayScene<ObjectSpace>::ofSplats(p_star_, splat_u_, splat_v_, kSplatCutoff);
+  }
+}
+
+Box<ObjectSpace> DeformedModel::bounds() const {
+  Box<ObjectSpace> box;
+  for (std::size_t i = 0; i < p_star_.size(); ++i) {
+    if (!isFinite(p_star_[i])) continue;
+    box.extend(p_star_[i]);
+    if (model_.kind == ModelKind::mesh) continue;
+    const Vec3 &u = splat_u_[i].raw(), &v = splat_v_[i].raw();
+    const Vector<ObjectSpace> half(std::hypot(u.x, v.x), std::hypot(u.y, v.y), std::hypot(u.z, v.z));
+    if (!isFinite(half)) continue;
+    box.extend(p_star_[i] - half);
+    box.extend(p_star_[i] + half);
+  }
+  return box;
+}
+
+void DeformedModel::intersect(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const {
+  SRF_CHECK(rays.size() == hits.size());
+  if (model_.kind == ModelKind::mesh) {
+    intersectTriangles(rays, hits);
+  } else {
+    intersectSplats(rays, hits);
+  }
+}
+
+void DeformedModel::intersectTriangles(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const {
+  TriangleHit met[kBatch];
+  for (std::size_t begin = 0; begin < rays.size(); begin += kBatch) {
+    const std::size_t count = std::min(kBatch, rays.size() - begin);
+    scene_->intersect(rays.subspan(begin, count), {met, count});
+    for (std::size_t k = 0; k < count; ++k) {
+      SurfaceHit& hit = hits[begin + k];
+      hit.count = 0;
+      if (!met[k].hit()) continue;
+      const Triangle& corners = model_.triangles[met[k].triangle];
+      const double b1 = met[k].b1, b2 = met[k].b2, b0 = std::max(0.0, 1 - b1 - b2);
+      const auto& [a, b, c] = corners;
+      hit.p0 = model_.p0[a] + (b1 * (model_.p0[b] - model_.p0[a]) + b2 * (model_.p0[c] - model_.p0[a]));
+      hit.p_star = p_star_[a] + (b1 * (p_star_[b] - p_star_[a]) + b2 * (p_star_[c] - p_star_[a]));
+      hit.distance = dot(hit.p_star - rays[begin + k].origin, rays[begin + k].direction);
+      const double weights[3] = {b0, b1, b2};
+      hit.count = 3;
+      for (int i = 0; i < 3; ++i) {
+        int place = i;
+        const auto weight = static_cast<float>(weights[i]);
+        for (; place > 0 && hit.weight[place - 1] < weight; --place) {
+          hit.weight[place] = hit.weight[place - 1];
+          hit.point[place] = hit.point[place - 1];
+        }
+        hit.weight[place] = weight;
+        hit.point[place] = corners[i];
+      }
+      blendFrames(hit, a);
+    }
+  }
+}
+
+void DeformedModel::intersectSplats(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const {
+  struct Met {
+    SplatHit splat;
+    double weight;
+  };
+  std::vector<SplatHit> gathered;
+  std::vector<Met> met;
+  for (std::size_t k = 0; k < rays.size(); ++k) {
+    SurfaceHit& hit = hits[k];
+    hit.count = 0;
+    scene_->gatherSplats(rays[k], kDepthWindow * longest_splat_, gathered);
+    if (gathered.empty()) continue;
+    const SplatHit first = gathered.front();
+    const auto outward = [this](std::uint32_t i) {
+      return static_cast<double>(tangents_[i].handedness) * unitOr(cross(splat_u_[i], splat_v_[i]).raw(), Vec3{});
+    };
+    const Vec3 first_normal = outward(first.splat);
+    const double window =
+        kDepthWindow * std::max(length(splat_u_[first.splat]), length(splat_v_[first.splat])) + first.distance;
+    met.clear();
+    for (const SplatHit& splat : gathered) {
+      if (splat.distance > window) break;
+      if (splat.splat != first.splat && !(dot(outward(splat.splat), first_normal) > kNormalCosine)) continue;
+      met.push_back({splat, splatWeight(splat.a, splat.b)});
+    }
+    std::sort(met.begin(), met.end(), [](const Met& x, const Met& y) {
+      return x.weight != y.weight ? x.weight > y.weight : x.splat.splat < y.splat.splat;
+    });
+    hit.count = static_cast<int>(std::min<std::size_t>(met.size(), SurfaceHit::kMostPoints));
+    double total = 0;
+    for (int i = 0; i < hit.count; ++i) total += met[i].weight;
+    // Inside a splat, position and rest position are those of its plane: Psi inverted to first order.
+    const std::uint32_t anchor = met.front().splat.splat;
+    Vector<AcquisitionSpace> p0_from_anchor;
+    Vector<ObjectSpace> p_star_from_anchor;
+    for (int i = 0; i < hit.count; ++i) {
+      const SplatHit& splat = met[i].splat;
+      const std::uint32_t point = splat.splat;
+      const double weight = met[i].weight / total, radius = model_.radius[point];
+      const Mat3& frame = rest_frame_[point].raw();
+      const Vec3 rest = (radius * splat.a) * frame.column(0) + (radius * splat.b) * frame.column(1);
+      p0_from_anchor += weight * ((model_.p0[point] - model_.p0[anchor]) + Vector<AcquisitionSpace>(rest));
+      p_star_from_anchor += weight * ((p_star_[point] - p_star_[anchor]) +
+                                      (double{splat.a} * splat_u_[point] + double{splat.b} * splat_v_[point]));
+      hit.point[i] = point;
+      hit.weight[i] = static_cast<float>(weight);
+    }
+    hit.p0 = model_.p0[anchor] + p0_from_anchor;
+    hit.p_star = p_star_[anchor] + p_star_from_anchor;
+    hit.distance = dot(hit.p_star - rays[k].origin, rays[k].direction);
+    blendFrames(hit, first.splat);
+  }
+}
+
+void DeformedModel::blendFrames(SurfaceHit& hit, std::uint32_t reference) const {
+  const Vec3 reference_u = rest_frame_[reference].raw().column(0);
+  Vec3 u0, v0, u, v;
+  double handedness = 0;
+  for (int i = 0; i < hit.count; ++i) {
+    const Mat3& frame = rest_frame_[hit.point[i]].raw();
+    const Tangents<ObjectSpace>& carried = tangents_[hit.point[i]];
+    const Vec3 own_u = frame.column(0), own_v = frame.column(1);
+    const double weight = hit.weight[i];
+    handedness += weight * carried.handedness;
+    // The angle in this point's plane from its own phase to the reference's.
+    const double x = dot(reference_u, own_u), y = dot(reference_u, own_v), squared = x * x + y * y;
+    double c = 1, s = 0;
+    if (squared > 1e-6 && !(x > 0 && x * x > kPhaseCosine * kPhaseCosine * squared)) {
+      c = x / std::sqrt(squared);
+      s = y / std::sqrt(squared);
+    }
+    u0 += (weight * c) * own_u + (weight * s) * own_v;
+    v0 += (weight * c) * own_v - (weight * s) * own_u;
+    u += (weight * c) * carried.u.raw() + (weight * s) * carried.v.raw();
+    v += (weight * c) * carried.v.raw() - (weight * s) * carried.u.raw();
+  }
+  hit.tangents.handedness = handedness < 0 ? -1 : 1;
+  const Vec3 n = cross(u0, v0);
+  const double squared = dot(n, n);
+  if (!(squared > kNoFrame)) {
+    hit.acquisition_from_tangent = rest_frame_[reference];
+    hit.tangents = tangents_[reference];
+    return;
+  }
+  // R0 is the orthonormal pair nearest to the blended rest tangents, (u0-bar v0-bar) = (u0 v0) M; the carried tangents
+  // of that pair are (u v) M. So an undeformed point gives L = identity, whatever was blended.
+  const Vec3 n_bar = n / std::sqrt(squared);
+  const Vec3 sum = u0 + cross(v0, n_bar);
+  const Vec3 u_bar = sum / std::sqrt(dot(sum, sum)), v_bar = cross(n_bar, u_bar);
+  const double uu = dot(u0, u_bar), uv = dot(u0, v_bar), vu = dot(v0, u_bar), vv = dot(v0, v_bar);
+  const double scale = 1 / (uu * vv - uv * vu);
+  hit.acquisition_from_tangent = Orthogonal<AcquisitionSpace, TangentSpace>(Mat3::fromColumns(u_bar, v_bar, n_bar));
+  hit.tangents.u = Vector<ObjectSpace>((scale * vv) * u - (scale * uv) * v);
+  hit.tangents.v = Vector<ObjectSpace>((scale * uu) * v - (scale * vu) * u);
+}
+
+}  // namespace srf

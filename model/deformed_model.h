@@ -2,11 +2,13 @@
 #pragma once
 
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "base/ray_scene.h"
 #include "model/deformable_model.h"
 #include "model/deformation.h"
+#include "model/mesh_motion.h"
 
 namespace srf {
 
@@ -27,6 +29,9 @@ struct DeformedStatistics {
   std::size_t not_finite = 0;   ///< points that Psi sent nowhere: dropped
   std::size_t mirrored = 0;     ///< points of negative handedness
   std::size_t collapsed = 0;    ///< points whose tangents gave no frame
+  /// Points on open parts of a mesh sequence: nothing tells whether they are mirrored, they are taken not to be. Worth a
+  /// warning.
+  std::size_t unsure_handedness = 0;
 };
 
 class DeformedModel {
@@ -46,12 +51,20 @@ class DeformedModel {
   Box<ObjectSpace> bounds() const;
 
  private:
-  void blend(SurfaceHit& hit, const SplatHit* splats) const;
+  void carry(const Deformation& psi, const std::vector<Point<ObjectSpace>>* sequence);
+  void updateScene();
+  void intersectTriangles(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
+  void intersectSplats(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
+  /// Fills the frames of a hit from its points and weights; phases follow those of `reference`.
+  void blendFrames(SurfaceHit& hit, std::uint32_t reference) const;
 
   const DeformableModel& model_;
   std::vector<Orthogonal<AcquisitionSpace, TangentSpace>> rest_frame_;  ///< R0 of each point
-  std::vector<Point<ObjectSpace>> p_star_;
+  std::vector<Point<ObjectSpace>> p_star_;   ///< NaN where Psi sends the point nowhere
   std::vector<Tangents<ObjectSpace>> tangents_;
+  std::vector<Vector<ObjectSpace>> splat_u_, splat_v_;  ///< kind surfels: tangents times rest radius
+  double longest_splat_ = 0;                 ///< longest half axis of all, units
+  std::optional<MeshParts> parts_;           ///< of the rest mesh, once a sequence has moved it
   std::optional<RayScene<ObjectSpace>> scene_;
   DeformedStatistics statistics_;
 };

@@ -1,0 +1,116 @@
+#include "model/mesh_motion.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+
+#include "base/check.h"
+
+namespace srf {
+namespace {
+
+// Signed volume of each part about the mean of its vertices, so that none is lost far from the origin.
+template <class Space>
+std::vector<double> partVolumes(const std::vector<Point<Space>>& positions, const std::vector<Triangle>& triangles,
+                                const std::vector<std::uint32_t>& part_of_vertex, std::size_t parts) {
+  std::vector<Vec3> center(parts);
+  std::vector<std::size_t> members(parts, 0);
+  for (std::size_t i = 0; i < positions.size(); ++i) {
+    center[part_of_vertex[i]] += positions[i].raw();
+    ++members[part_of_vertex[i]];
+  }
+  for (std::size_t p = 0; p < parts; ++p) center[p] = center[p] / static_cast<double>(members[p]);
+  std::vector<double> volume(parts, 0);
+  for (const auto& [a, b, c] : triangles) {
+    const std::uint32_t part = part_of_vertex[a];
+    const Vec3& o = center[part];
+    volume[part] += dot(positions[a].raw() - o, cross(positions[b].raw() - o, positions[c].raw() - o)) / 6;
+  }
+  return volume;
+}
+
+// F = [e1* e2* n*][e1 e2 n]^-1 (M8). The moved normal is stretched as the triangle's size is, so that a uniform scaling
+// gives exactly that scaling.
+Mat3 gradientOf(const Vec3& e1, const Vec3& e2, const Vec3& moved_e1, const Vec3& moved_e2) {
+  const Vec3 n = cross(e1, e2), moved_n = cross(moved_e1, moved_e2);
+  const double twice = length(n), moved_twice = length(moved_n);
+  // |n| = 1 at rest, sqrt(area* / area) moved; a triangle squeezed to nothing keeps no normal.
+  const Vec3 stretched = moved_twice > 0 ? moved_n / std::sqrt(moved_twice * twice) : Vec3{};
+  return Mat3::fromColumns(moved_e1, moved_e2, stretched) * inverse(Mat3::fromColumns(e1, e2, n / twice));
+}
+
+}  // namespace
+
+MeshParts meshParts(const AcquisitionMesh& rest) {
+  const std::size_t count = rest.positions.size();
+  std::vector<std::uint32_t> parent(count);
+  std::iota(parent.begin(), parent.end(), 0u);
+  const auto root = [&parent](std::uint32_t i) {
+    while (parent[i] != i) i = parent[i] = parent[parent[i]];
+    return i;
+  };
+  std::vector<std::array<std::uint32_t, 2>> edges;
+  edges.reserve(3 * rest.triangles.size());
+  for (const Triangle& t : rest.triangles)
+    for (int k = 0; k < 3; ++k) {
+      const std::uint32_t a = t[k], b = t[(k + 1) % 3];
+      edges.push_back({std::min(a, b), std::max(a, b)});
+      const std::uint32_t ra = root(a), rb = root(b);
+      parent[std::max(ra, rb)] = std::min(ra, rb);
+    }
+  MeshParts parts;
+  parts.part_of_vertex.resize(count);
+  for (std::uint32_t i = 0; i < count; ++i) {
+    if (root(i) == i) {  // roots are the least of their part, so they come first
+      parts.part_of_vertex[i] = static_cast<std::uint32_t>(parts.closed.size());
+      parts.closed.push_back(1);
+    } else {
+      parts.part_of_vertex[i] = parts.part_of_vertex[root(i)];
+    }
+  }
+  std::sort(edges.begin(), edges.end());
+  for (std::size_t i = 0; i < edges.size();) {
+    std::size_t end = i;
+    while (end < edges.size() && edges[end] == edges[i]) ++end;
+    if (end - i != 2) parts.closed[parts.part_of_vertex[edges[i][0]]] = 0;
+    i = end;
+  }
+  parts.volume = partVolumes(rest.positions, rest.triangles, parts.part_of_vertex, parts.closed.size());
+  return parts;
+}
+
+MeshMotion meshMotion(const AcquisitionMesh& rest, const MeshParts& parts,
+                      const std::vector<Point<ObjectSpace>>& moved) {
+  const std::size_t count = rest.positions.size();
+  SRF_CHECK(moved.size() == count && parts.part_of_vertex.size() == count);
+  std::vector<Mat3> sum(count, 0.0 * Mat3{});
+  std::vector<double> weight(count, 0);
+  for (const auto& t : rest.triangles) {
+    const auto& [a, b, c] = t;
+    const Vec3 e1 = (rest.positions[b] - rest.positions[a]).raw(), e2 = (rest.positions[c] - rest.positions[a]).raw();
+    const double area = 0.5 * length(cross(e1, e2));
+    if (!(area > 0)) continue;
+    const Mat3 gradient = gradientOf(e1, e2, (moved[b] - moved[a]).raw(), (moved[c] - moved[a]).raw());
+    for (const std::uint32_t corner : t) {
+      sum[corner] = sum[corner] + area * gradient;
+      weight[corner] += area;
+    }
+  }
+  MeshMotion motion;
+  motion.gradient.resize(count);
+  motion.handedness.assign(count, 1);
+  const std::vector<double> volume = partVolumes(moved, rest.triangles, parts.part_of_vertex, parts.closed.size());
+  for (std::size_t i = 0; i < count; ++i) {
+    motion.gradient[i] = Linear<ObjectSpace, AcquisitionSpace>((1 / weight[i]) * sum[i]);
+    const std::uint32_t part = parts.part_of_vertex[i];
+    if (!parts.closed[part]) {
+      ++motion.unsure;
+    } else if ((volume[part] < 0) != (parts.volume[part] < 0)) {
+      motion.handedness[i] = -1;
+    }
+  }
+  return motion;
+}
+
+}  // namespace srf
