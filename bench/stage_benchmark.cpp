@@ -1,0 +1,210 @@
+// Where a frame's time goes, stage by stage, each beside the limit of this machine measured in the same run: tracing
+// against a bare Embree loop over the same rays, the product with the stack against a bare kernel that streams as many
+// halves, memory by a plain read. Prints rows of Markdown.
+#include <embree3/rtcore.h>
+#include <immintrin.h>
+
+#include <cstdio>
+#include <numeric>
+
+#include "apps/program.h"
+#include "base/parallel.h"
+#include "bench/timing.h"
+#include "render/frame_renderer.h"
+#include "render/scene.h"
+
+namespace srf {
+namespace {
+
+// Embree with nothing around it: float rays made beforehand, packets of 16, rows of the picture shared among threads.
+class BareEmbree {
+ public:
+  BareEmbree(const std::vector<Point<ObjectSpace>>& positions, const std::vector<Triangle>& triangles,
+             const Camera<ObjectSpace>& camera)
+      : device_(rtcNewDevice(nullptr)), scene_(rtcNewScene(device_)) {
+    RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
+    auto* xyz = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12,
+                                                            positions.size()));
+    for (const auto& p : positions)
+      for (int k = 0; k < 3; ++k) *xyz++ = static_cast<float>(p.raw()[k]);
+    auto* index = static_cast<Triangle*>(
+        rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, triangles.size()));
+    std::copy(triangles.begin(), triangles.end(), index);
+    rtcCommitGeometry(geometry);
+    rtcAttachGeometry(scene_, geometry);
+    rtcReleaseGeometry(geometry);
+    rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);
+    rtcCommitScene(scene_);
+    const int width = camera.lens.width, height = camera.lens.height;
+    for (int y = 0; y < height; y += 4)  // packets of 4 x 4 pixels
+      for (int x = 0; x < width; x += 4) {
+        RTCRay16 packet{};
+        for (int i = 0; i < 16; ++i) {
+          const auto ray = camera.ray({std::min(x + i % 4, width - 1) + 0.5, std::min(y + i / 4, height - 1) + 0.5});
+          packet.org_x[i] = ray->origin.raw().x, packet.org_y[i] = ray->origin.raw().y;
+          packet.org_z[i] = ray->origin.raw().z, packet.dir_x[i] = ray->direction.raw().x;
+          packet.dir_y[i] = ray->direction.raw().y, packet.dir_z[i] = ray->direction.raw().z;
+          packet.tfar[i] = INFINITY, packet.mask[i] = 0xffffffffu;
+        }
+        packets_.push_back(packet);
+      }
+  }
+  ~BareEmbree() {
+    rtcReleaseScene(scene_);
+    rtcReleaseDevice(device_);
+  }
+  BareEmbree(const BareEmbree&) = delete;
+  BareEmbree& operator=(const BareEmbree&) = delete;
+
+  void trace() const {
+    parallelFor(packets_.size(), 256, [&](std::size_t begin, std::size_t end) {
+      alignas(64) int valid[16];
+      std::fill(std::begin(valid), std::end(valid), -1);
+      for (std::size_t p = begin; p < end; ++p) {
+        alignas(64) RTCRayHit16 hit;
+        hit.ray = packets_[p];
+        std::fill(std::begin(hit.hit.geomID), std::end(hit.hit.geomID), RTC_INVALID_GEOMETRY_ID);
+        RTCIntersectContext context;
+        rtcInitIntersectContext(&context);
+        context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+        rtcIntersect16(valid, scene_, &context, &hit);
+      }
+    });
+  }
+
+ private:
+  RTCDevice device_;
+  RTCScene scene_;
+  std::vector<RTCRay16> packets_;
+};
+
+// Streams `taps` texels of 3 x `lights` halves from `texels` (wrapping around) against one weight vector.
+float bareDot(const std::vector<std::uint16_t>& texels, std::size_t lights, std::size_t begin, std::size_t end,
+              const std::vector<float>& weights) {
+  const std::size_t stride = 3 * lights, held = texels.size() / stride;
+  float sum = 0;
+#if defined(__AVX2__) && defined(__F16C__)
+  __m256 total = _mm256_setzero_ps();
+  for (std::size_t t = begin; t < end; ++t) {
+    const std::uint16_t* texel = texels.data() + (t % held) * stride;
+    __m256 a = _mm256_setzero_ps(), b = a;
+    for (std::size_t i = 0; i < stride; i += 16) {
+      a = _mm256_fmadd_ps(_mm256_cvtph_ps(_mm_loadu_si128(reinterpret_cast<const __m128i*>(texel + i))),
+                          _mm256_loadu_ps(weights.data() + i), a);
+      b = _mm256_fmadd_ps(_mm256_cvtph_ps(_mm_loadu_si128(reinterpret_cast<const __m128i*>(texel + i + 8))),
+                          _mm256_loadu_ps(weights.data() + i + 8), b);
+    }
+    total = _mm256_add_ps(total, _mm256_add_ps(a, b));
+  }
+  alignas(32) float lanes[8];
+  _mm256_store_ps(lanes, total);
+  sum = std::accumulate(lanes, lanes + 8, 0.f);
+#endif
+  return sum;
+}
+
+}  // namespace
+}  // namespace srf
+
+int main(int argc, char** argv) {
+  using namespace srf;
+  Program program("stage-benchmark", "times the stages of a frame beside the machine's limits");
+  std::string scene_file, srf_folder;
+  int repeats = 11;
+  std::vector<std::string> overrides;
+  program.app().add_option("SCENE", scene_file, "scene.json; its frames are rendered in turn")->required();
+  program.app().add_option("--srf", srf_folder, "the field")->required();
+  program.app().add_option("--repeats", repeats, "timed frames");
+  program.app().add_option("--set", overrides, "/json/pointer=value in the scene");
+  return program.run(argc, argv, [&](Reporter& reporter) {
+    const Scene scene = readScene(scene_file, overrides, reporter);
+    const SrfManifest manifest = readManifest(srf_folder);
+    const DeformableModel model = loadModel(srf_folder, manifest);
+    const LightSet light_set(scene, manifest, reporter);
+    FrameSettings settings;
+    settings.accuracy = scene.accuracy;
+    settings.samples = scene.samples;
+    settings.memory_bytes = program.memoryBudget();
+    FrameRenderer renderer(srf_folder, manifest, model, settings, reporter);
+    DeformedModel deformed(model);
+
+    const auto frame_at = [&](int i) { return scene.frames[static_cast<std::size_t>(i) % scene.frames.size()]; };
+    const auto render = [&](int frame, double& deform_ms) {
+      deform_ms = bench::milliseconds([&] { deformed.deform(scene.deformation.at(frame)); });
+      renderer.render(scene.cameraAt(frame), deformed, light_set.at(frame));
+    };
+    double unused = 0;
+    for (std::size_t i = 0; i < std::min<std::size_t>(scene.frames.size(), repeats); ++i)
+      render(frame_at(static_cast<int>(i)), unused);  // warm: blocks decoded
+
+    std::map<std::string, bench::Series> stages;
+    bench::Series whole, embree, dot, read;
+    std::map<std::string, double> before = reporter.figures();
+    std::map<std::string, std::uint64_t> counted = reporter.counters();
+    double operations = 0, hits = 0;
+    std::vector<std::uint16_t> texels(64 << 20);
+    for (std::size_t i = 0; i < texels.size(); ++i) texels[i] = static_cast<std::uint16_t>(0x3000 + i % 512);
+    const std::size_t lights = manifest.views.empty() ? 16 : (manifest.views[0].lights.size() + 15) / 16 * 16;
+    const std::vector<float> weights(3 * lights, 0.01f);
+    volatile float sink = 0;
+    for (int i = 0; i < repeats; ++i) {
+      const int frame = frame_at(i);
+      double deform_ms = 0;
+      whole.add(bench::milliseconds([&] { render(frame, deform_ms); }));
+      stages["deform"].add(deform_ms);
+      for (const auto& [name, value] : reporter.figures())
+        if (name.starts_with("seconds.")) stages[name.substr(8)].add(1e3 * (value - before[name]));
+      before = reporter.figures();
+      const auto counters = reporter.counters();
+      const auto taken = [&](const char* name) {
+        const auto a = counters.find(name);
+        const auto b = counted.find(name);
+        return static_cast<double>((a == counters.end() ? 0 : a->second) - (b == counted.end() ? 0 : b->second));
+      };
+      operations += taken("operations") / repeats, hits += taken("hits") / repeats;
+      counted = counters;
+      if (model.kind == ModelKind::mesh) {
+        const BareEmbree bare(deformed.positions(), model.triangles, scene.cameraAt(frame));
+        bare.trace();
+        embree.add(bench::milliseconds([&] { bare.trace(); }));
+      }
+      const std::size_t taps = static_cast<std::size_t>(4 * taken("operations"));
+      dot.add(bench::milliseconds([&] {
+        parallelFor(taps, 1 << 14, [&](std::size_t a, std::size_t b) { sink = bareDot(texels, lights, a, b, weights); });
+      }));
+      std::vector<std::uint64_t> partial(64);
+      read.add(bench::milliseconds([&] {
+        const auto* words = reinterpret_cast<const std::uint64_t*>(texels.data());
+        const std::size_t count = texels.size() / 4;
+        parallelFor(64, 1, [&](std::size_t a, std::size_t) {
+          std::uint64_t sum = 0;
+          for (std::size_t k = count / 64 * a; k < count / 64 * (a + 1); ++k) sum += words[k];
+          partial[a] = sum;
+        });
+        sink = static_cast<float>(partial[63] & 1);
+      }));
+    }
+    const auto camera = scene.cameraAt(frame_at(0));
+    std::printf("%s, %d threads; %d x %d pixels, %zu model points, %zu triangles, %zu views, %zu lights, %.0f hits and "
+                "%.0f operations a frame; %d frames after a warm-up; milliseconds as median (least .. most).\n\n",
+                bench::processorName().c_str(), threadCount(), camera.lens.width, camera.lens.height, model.size(),
+                model.triangles.size(), manifest.views.size(), manifest.lights.size(), hits, operations, repeats);
+    std::printf("| stage | ms | limit on this machine, same run | ratio |\n|---|---|---|---|\n");
+    for (const auto& [name, series] : stages) {
+      std::string limit = "", ratio = "";
+      char text[64];
+      const auto against = [&](const bench::Series& bare, const char* what) {
+        if (bare.values.empty()) return;
+        limit = std::string(what) + " " + bench::shown(bare);
+        std::snprintf(text, sizeof text, "%.2f", series.median() / bare.median());
+        ratio = text;
+      };
+      if (name == "trace") against(embree, "bare Embree loop");
+      if (name == "execute") against(dot, "bare dot kernel");
+      std::printf("| %s | %s | %s | %s |\n", name.c_str(), bench::shown(series).c_str(), limit.c_str(), ratio.c_str());
+    }
+    std::printf("| whole frame | %s | %.1f frames a second | |\n", bench::shown(whole).c_str(), 1000 / whole.median());
+    std::printf("| memory read, %zu MB | %s | %.1f GB/s | |\n", texels.size() * 2 >> 20, bench::shown(read).c_str(),
+                texels.size() * 2 / read.median() / 1e6);
+  });
+}
