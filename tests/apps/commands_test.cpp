@@ -1,1 +1,501 @@
-// (written next)
+// The programs as a user meets them: processes with arguments, exit codes, messages and files. Everything works on one
+// capture of 12 views and 8 lights at 64 pixels, made once by `srf synth`.
+#include <OpenEXR/ImfRgbaFile.h>
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <fstream>
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <thread>
+
+#include "base/files.h"
+#include "base/image_io.h"
+#include "base/json.h"
+#include "tests/support/test_support.h"
+
+extern char** environ;
+
+namespace srf {
+namespace {
+
+namespace fs = std::filesystem;
+using Words = std::vector<std::string>;
+
+const std::string kSrf = std::string(SRF_PROGRAMS) + "/srf";
+const Words kCommands{"synth", "check", "acquire", "model", "render", "pipeline", "info", "compare"};
+
+struct Outcome {
+  int code = -1;  ///< 128 + signal where one ended it
+  std::string out, err;
+};
+
+std::string slurp(const fs::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+}
+
+// A running program whose output goes to files.
+class Process {
+ public:
+  explicit Process(const Words& words) {
+    posix_spawn_file_actions_t actions;
+    posix_spawn_file_actions_init(&actions);
+    const std::string out = (folder_ / "out").string(), err = (folder_ / "err").string();
+    posix_spawn_file_actions_addopen(&actions, 1, out.c_str(), O_WRONLY | O_CREAT, 0600);
+    posix_spawn_file_actions_addopen(&actions, 2, err.c_str(), O_WRONLY | O_CREAT, 0600);
+    std::vector<char*> arguments;
+    for (const std::string& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
+    arguments.push_back(nullptr);
+    started_ = posix_spawnp(&pid_, arguments[0], &actions, nullptr, arguments.data(), environ) == 0;
+    posix_spawn_file_actions_destroy(&actions);
+  }
+  void signal(int number) const { ::kill(pid_, number); }
+  Outcome wait() const {
+    if (!started_) return {.err = "not started"};
+    int status = 0;
+    ::waitpid(pid_, &status, 0);
+    return {WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status), slurp(folder_ / "out"),
+            slurp(folder_ / "err")};
+  }
+
+ private:
+  test::TemporaryFolder folder_;
+  pid_t pid_ = -1;
+  bool started_ = false;
+};
+
+Outcome run(Words words) {
+  words.insert(words.begin(), kSrf);
+  return Process(words).wait();
+}
+
+// Everything below a folder, relative; what a failed command must not add to.
+Words listing(const fs::path& folder) {
+  Words names;
+  for (const auto& entry : fs::recursive_directory_iterator(folder))
+    names.push_back(entry.path().lexically_relative(folder).string());
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+void expectMessage(const Outcome& outcome, int code, const Words& parts) {
+  EXPECT_EQ(outcome.code, code) << outcome.err;
+  for (const std::string& part : parts)
+    EXPECT_NE(outcome.err.find(part), std::string::npos) << "no '" << part << "' in: " << outcome.err;
+}
+
+// The shared capture, its field with a model, and a scene.
+struct Sample {
+  test::TemporaryFolder folder;
+  fs::path capture = folder / "capture", field = folder / "field.srf", scene = folder / "scene.json";
+
+  Sample() {
+    const Outcome synth = run({"synth", "-o", capture, "--object", "sphere", "--material", "lambert", "--views", "12",
+                               "--lights", "8", "--size", "64"});
+    const Outcome acquire = run({"acquire", capture, "-o", field});
+    const Outcome model = run({"model", field});
+    if (synth.code + acquire.code + model.code != 0) throw std::runtime_error(synth.err + acquire.err + model.err);
+    writeJsonFile(scene, sceneJson());
+  }
+  Json sceneJson() const {
+    return {{"srf", field.string()},
+            {"camera",
+             {{"w", 96},
+              {"h", 96},
+              {"vfov", 35},
+              {"look_at", {{"eye", {0, -4, 1}}, {"target", {0, 0, 0}}, {"up", {0, 0, 1}}}}}},
+            {"deformation", {{{"type", "twist"}, {"axis", {0, 0, 1}}, {"degrees_per_unit", 30}}}},
+            {"lights", {{{"type", "directional"}, {"direction", {0, -1, 1}}, {"irradiance", {3, 3, 3}}}}},
+            {"frames", "0-2"},
+            {"output", (folder / "frames" / "f.####.exr").string()}};
+  }
+};
+const Sample& sample() {
+  static const Sample one;
+  return one;
+}
+
+// A copy of the shared capture that a test may damage.
+class Damaged {
+ public:
+  Damaged() { fs::copy(sample().capture, capture, fs::copy_options::recursive); }
+  Json transforms() const { return readJsonFile(capture / "transforms.json").raw(); }
+  void setTransforms(const Json& json) const { writeJsonFile(capture / "transforms.json", json); }
+  fs::path firstPhoto() const { return capture / transforms()["frames"][0]["file_path"].get<std::string>(); }
+  fs::path firstMask() const { return capture / transforms()["frames"][0]["mask_path"].get<std::string>(); }
+  /// `srf acquire` must refuse it with a message that has all these parts, and leave nothing behind.
+  void expectRefused(const Words& parts) const {
+    const Words before = listing(folder.path());
+    expectMessage(run({"acquire", capture, "-o", folder / "out.srf"}), 3, parts);
+    EXPECT_EQ(listing(folder.path()), before);
+  }
+
+  test::TemporaryFolder folder;
+  fs::path capture = folder / "capture";
+};
+
+// A scene with one change must be refused by `srf render`.
+void expectSceneRefused(const Json& scene, const Words& parts) {
+  test::TemporaryFolder folder;
+  writeJsonFile(folder / "scene.json", scene);
+  expectMessage(run({"render", folder / "scene.json", "-o", folder / "f.####.exr"}), 3, parts);
+  EXPECT_EQ(listing(folder.path()), Words{"scene.json"});
+}
+
+// ---- Help, version, usage ------------------------------------------------------------------------------------------
+
+TEST(Commands, EachHasHelpAndVersion) {
+  EXPECT_EQ(run({"--help"}).code, 0);
+  EXPECT_EQ(run({"--version"}).code, 0);
+  for (const std::string& command : kCommands) {
+    SCOPED_TRACE(command);
+    const Outcome help = run({command, "--help"}), version = run({command, "--version"});
+    EXPECT_EQ(help.code, 0);
+    for (const char* option : {"--threads", "--memory", "--log-level", "--progress", "--stats"})
+      EXPECT_NE(help.out.find(option), std::string::npos) << option;
+    EXPECT_EQ(version.code, 0);
+    const bool links_cgal = command == "model" || command == "pipeline";
+    EXPECT_NE(version.out.find(links_cgal ? "GPL-3.0-or-later" : "Apache-2.0"), std::string::npos) << version.out;
+  }
+}
+
+TEST(Commands, UnknownWordsNameTheNearestKnownOnes) {
+  expectMessage(run({"rendr"}), 2, {"unknown command 'rendr'", "'render'"});
+  expectMessage(run({"render", "--resum", "x.json"}), 2, {"unknown option '--resum'", "'--resume'"});
+  expectMessage(run({"acquire", "in", "--memori=1G"}), 2, {"--memory"});
+}
+
+TEST(Commands, WrongUsageExitsWithTwo) {
+  EXPECT_EQ(run({}).code, 2);
+  for (const std::string& command : kCommands) EXPECT_EQ(run({command, "--threads", "many"}).code, 2) << command;
+  EXPECT_EQ(run({"model", sample().field, "--kind", "voxels"}).code, 2);
+  EXPECT_EQ(run({"acquire", sample().capture, "-o", "x.srf", "--memory", "lots"}).code, 2);
+}
+
+TEST(Commands, StatsAreWrittenOnSuccessAndOnFailure) {
+  test::TemporaryFolder folder;
+  EXPECT_EQ(run({"info", sample().field, "--stats", folder / "good.json"}).code, 0);
+  EXPECT_EQ(run({"info", folder / "nothing", "--stats", folder / "bad.json"}).code, 3);
+  EXPECT_EQ(readJsonFile(folder / "good.json")["exit_code"].integer(0, 255), 0);
+  EXPECT_EQ(readJsonFile(folder / "bad.json")["exit_code"].integer(0, 255), 3);
+}
+
+// ---- What files hold -----------------------------------------------------------------------------------------------
+
+TEST(Info, TellsWhatFieldCaptureSceneFrameAndMeshHold) {
+  const auto info = [](const fs::path& path) {
+    const Outcome outcome = run({"info", path, "--json"});
+    EXPECT_EQ(outcome.code, 0) << outcome.err;
+    EXPECT_EQ(run({"info", path}).code, 0);
+    return Json::parse(outcome.out);
+  };
+  const Json field = info(sample().field);
+  EXPECT_EQ(field["type"], "srf");
+  EXPECT_EQ(field["views"]["count"], 12);
+  EXPECT_EQ(field["views"]["light_sets"], 1);
+  EXPECT_EQ(field["lights"]["directional"], 8);
+  EXPECT_TRUE(field["shapes"]["hull"]["closed"]);
+  EXPECT_GT(field["views"]["bytes"], 0);
+  EXPECT_GT(field["active_model"]["points"], 100);
+  const Json capture = info(sample().capture);
+  EXPECT_EQ(capture["type"], "capture");
+  EXPECT_EQ(capture["photographs"], 12 * 8);
+  EXPECT_EQ(info(sample().capture / "transforms.json"), capture);
+  const Json scene = info(sample().scene);
+  EXPECT_EQ(scene["type"], "scene");
+  EXPECT_EQ(scene["frames"]["count"], 3);
+  EXPECT_EQ(scene["deformation"], Json::array({"twist"}));
+  const Json photo = info(Damaged().firstPhoto());
+  EXPECT_EQ(photo["size"], "64 x 64");
+  EXPECT_EQ(photo["channels"]["R"]["nan"], 0);
+  EXPECT_TRUE(info(sample().capture / "model.ply")["closed"]);
+}
+
+// ---- Bad captures --------------------------------------------------------------------------------------------------
+
+TEST(BadCapture, MissingImageIsNamed) {
+  const Damaged damaged;
+  const fs::path photo = damaged.firstPhoto();
+  fs::remove(photo);
+  damaged.expectRefused({photo.filename(), "check the path"});
+}
+
+TEST(BadCapture, TruncatedImageIsNamed) {
+  const Damaged damaged;
+  const fs::path photo = damaged.firstPhoto();
+  fs::resize_file(photo, fs::file_size(photo) / 2);
+  damaged.expectRefused({photo.string()});
+}
+
+TEST(BadCapture, ImageOfAnotherSizeIsNamedWithBothSizes) {
+  const Damaged damaged;
+  writeExr(damaged.firstPhoto(), ImageF(32, 48, 3, 0.5f));
+  damaged.expectRefused({damaged.firstPhoto().string(), "32 x 48", "64 x 64"});
+}
+
+TEST(BadCapture, LightWithoutFramesIsNamed) {
+  const Damaged damaged;
+  Json json = damaged.transforms();
+  json["lights"].push_back(
+      {{"name", "idle"}, {"type", "directional"}, {"direction", {0, 0, 1}}, {"irradiance", {1, 1, 1}}});
+  damaged.setTransforms(json);
+  damaged.expectRefused({"transforms.json", "/lights/8", "'idle'", "remove it"});
+}
+
+TEST(BadCapture, UnknownKeyIsNamedWithTheNearestKnownOne) {
+  const Damaged damaged;
+  Json json = damaged.transforms();
+  json["frames"][3]["mask_pth"] = "x.png";
+  damaged.setTransforms(json);
+  damaged.expectRefused({"transforms.json", "/frames/3/mask_pth", "did you mean 'mask_path'"});
+}
+
+TEST(BadCapture, WrongTypeIsNamedWithWhatWasExpected) {
+  const Damaged damaged;
+  Json json = damaged.transforms();
+  json["w"] = "sixty-four";
+  damaged.setTransforms(json);
+  damaged.expectRefused({"transforms.json", "/w", "sixty-four", "expected a number"});
+}
+
+TEST(BadCapture, BrokenJsonIsNamedWithItsLine) {
+  const Damaged damaged;
+  writeTextFile(damaged.capture / "transforms.json", "{\n \"w\": 64,\n \"h\" 64\n}\n");
+  damaged.expectRefused({"transforms.json", "line 3"});
+}
+
+TEST(BadCapture, EmptyMaskIsNamed) {
+  const Damaged damaged;
+  writePng(damaged.firstMask(), Image8(64, 64, 1, 0));
+  damaged.expectRefused({damaged.firstMask().filename(), "empty"});
+}
+
+TEST(BadCapture, AllWhiteMaskIsNamed) {
+  const Damaged damaged;
+  writePng(damaged.firstMask(), Image8(64, 64, 1, 255));
+  damaged.expectRefused({damaged.firstMask().filename(), "whole picture"});
+}
+
+TEST(BadCapture, SingularPoseIsNamed) {
+  const Damaged damaged;
+  Json json = damaged.transforms();
+  json["frames"][0]["transform_matrix"][1] = {0, 0, 0, 0};
+  damaged.setTransforms(json);
+  damaged.expectRefused({"transforms.json", "/frames/0/transform_matrix"});
+}
+
+TEST(BadCapture, LightDirectionWithoutLengthIsNamed) {
+  const Damaged damaged;
+  Json json = damaged.transforms();
+  json["lights"][2]["direction"] = {0, 0, 0};
+  damaged.setTransforms(json);
+  damaged.expectRefused({"transforms.json", "/lights/2/direction", "length"});
+}
+
+TEST(BadCapture, CheckFindsTheSameFaults) {
+  const Damaged damaged;
+  EXPECT_EQ(run({"check", damaged.capture}).code, 0);
+  writePng(damaged.firstMask(), Image8(64, 64, 1, 0));
+  const Outcome outcome = run({"check", damaged.capture});
+  EXPECT_EQ(outcome.code, 3);
+  EXPECT_NE((outcome.out + outcome.err).find(damaged.firstMask().filename()), std::string::npos) << outcome.out;
+}
+
+TEST(BadCapture, PixelsThatAreNotFiniteAreCountedAndLeftOut) {
+  const Damaged damaged;
+  constexpr int kBad = 5;
+  std::vector<Imf::Rgba> pixels(64 * 64, Imf::Rgba(0.25f, 0.25f, 0.25f, 1));
+  for (int i = 0; i < kBad; ++i) pixels[32 * 64 + 30 + i].g = std::numeric_limits<float>::quiet_NaN();
+  const fs::path photo = damaged.firstPhoto();
+  fs::remove(photo);
+  {
+    Imf::RgbaOutputFile file(photo.c_str(), 64, 64, Imf::WRITE_RGB);
+    file.setFrameBuffer(pixels.data(), 1, 64);
+    file.writePixels(64);
+  }
+  const fs::path field = damaged.folder / "out.srf", stats = damaged.folder / "stats.json";
+  ASSERT_EQ(run({"acquire", damaged.capture, "-o", field, "--stats", stats}).code, 0);
+  std::uint64_t counted = 0;
+  for (const auto& [name, count] : readJsonFile(stats)["counters"].raw().items())
+    if (name.find("nan") != std::string::npos || name.find("finite") != std::string::npos)
+      counted += count.get<std::uint64_t>();
+  EXPECT_EQ(counted, kBad);
+  ASSERT_EQ(run({"model", field}).code, 0);
+  ASSERT_EQ(run({"render", sample().scene, "--srf", field, "--frames", "0", "-o", damaged.folder / "f.exr"}).code, 0);
+  for (const auto& entry : fs::directory_iterator(damaged.folder.path()))
+    if (entry.path().extension() == ".exr")
+      for (const auto& [name, channel] : readExrChannels(entry.path()))
+        for (const float value : channel.data()) ASSERT_TRUE(std::isfinite(value)) << name;
+}
+
+// ---- Bad scenes ----------------------------------------------------------------------------------------------------
+
+TEST(BadScene, UnknownKeyIsNamed) {
+  Json scene = sample().sceneJson();
+  scene["lights"][0]["irradience"] = {1, 1, 1};
+  expectSceneRefused(scene, {"scene.json", "/lights/0/irradience", "did you mean 'irradiance'"});
+}
+
+TEST(BadScene, WrongTypeIsNamed) {
+  Json scene = sample().sceneJson();
+  scene["camera"]["vfov"] = "wide";
+  expectSceneRefused(scene, {"scene.json", "/camera/vfov", "wide"});
+}
+
+TEST(BadScene, MissingEnvironmentMapIsNamed) {
+  Json scene = sample().sceneJson();
+  scene["lights"].push_back({{"type", "environment"}, {"map", "nowhere.exr"}});
+  expectSceneRefused(scene, {"nowhere.exr"});
+}
+
+TEST(BadScene, LightDirectionWithoutLengthIsNamed) {
+  Json scene = sample().sceneJson();
+  scene["lights"][0]["direction"] = {0, 0, 0};
+  expectSceneRefused(scene, {"scene.json", "/lights/0/direction"});
+}
+
+TEST(BadScene, MissingFieldIsNamed) {
+  Json scene = sample().sceneJson();
+  scene["srf"] = "nothing.srf";
+  expectSceneRefused(scene, {"nothing.srf"});
+}
+
+TEST(BadField, TruncatedStoreIsNamed) {
+  test::TemporaryFolder folder;
+  fs::copy(sample().field, folder / "field.srf", fs::copy_options::recursive);
+  fs::path store;
+  for (const auto& entry : fs::directory_iterator(folder / "field.srf/views")) store = entry.path();
+  fs::resize_file(store, fs::file_size(store) / 2);
+  expectMessage(run({"render", sample().scene, "--srf", folder / "field.srf", "-o", folder / "f.####.exr"}), 3,
+                {store.filename()});
+  EXPECT_EQ(listing(folder.path()).size(), listing(sample().field).size() + 1);
+}
+
+// ---- Places that cannot be written ---------------------------------------------------------------------------------
+
+TEST(Output, PlaceWhereNothingMayBeWrittenFails) {
+  test::TemporaryFolder folder;
+  writeTextFile(folder / "file", "x");  // nobody, not even root, may make a folder below a file
+  expectMessage(run({"synth", "-o", folder / "file/capture", "--views", "4", "--lights", "2", "--size", "16"}), 1,
+                {"file"});
+  expectMessage(run({"acquire", sample().capture, "-o", folder / "file/x.srf"}), 1, {"file"});
+  expectMessage(run({"render", sample().scene, "-o", folder / "file/f.####.exr"}), 1, {"file"});
+  EXPECT_EQ(listing(folder.path()), Words{"file"});
+}
+
+TEST(Output, FullDiskExitsWithFourAndLeavesNothing) {
+  test::TemporaryFolder folder;
+  const std::string script =
+      "mount -t tmpfs -o size=48k tmpfs \"$1\" || exit 77\nplace=$1\nshift\n\"$@\"\ncode=$?\n"
+      "find \"$place\" -type f -size +0 -exec echo left {} \\;\nexit $code";
+  const auto onFullDisk = [&](const Words& words) {
+    Words all{"unshare", "-m", "--propagation", "private", "sh", "-c", script, "sh", folder.path(), kSrf};
+    all.insert(all.end(), words.begin(), words.end());
+    return Process(all).wait();
+  };
+  const Outcome probe = onFullDisk({"--version"});
+  if (probe.code != 0) GTEST_SKIP() << "skipped: no tmpfs may be mounted here";
+  const Outcome acquire = onFullDisk({"acquire", sample().capture, "-o", folder / "x.srf"});
+  expectMessage(acquire, 4, {"No space left", "make room"});
+  EXPECT_EQ(acquire.out.find("left "), std::string::npos) << acquire.out;
+  const Outcome render = onFullDisk({"render", sample().scene, "--set", "/camera/w=400", "--set", "/camera/h=400",
+                                     "--frames", "0", "-o", folder / "f.####.exr"});
+  expectMessage(render, 4, {"No space left", "make room"});
+  EXPECT_EQ(render.out.find("left "), std::string::npos) << render.out;
+}
+
+// ---- Interrupted and resumed runs ----------------------------------------------------------------------------------
+
+TEST(Render, InterruptEndsWithWholeFramesAndResumeKeepsTheirBits) {
+  test::TemporaryFolder folder;
+  const Words words{"render", sample().scene, "--frames", "0-199", "-o", folder / "f.####.exr", "--resume"};
+  Words all = words;
+  all.insert(all.begin(), kSrf);
+  const Process process(all);
+  const auto start = std::chrono::steady_clock::now();
+  while (!fs::exists(folder / "f.0001.exr") && std::chrono::steady_clock::now() - start < std::chrono::seconds(60))
+    std::this_thread::sleep_for(std::chrono::milliseconds(2));
+  process.signal(SIGINT);
+  const Outcome outcome = process.wait();
+  expectMessage(outcome, 130, {"interrupted"});
+
+  const Words names = listing(folder.path());
+  ASSERT_GE(names.size(), 2u);
+  ASSERT_LT(names.size(), 200u);
+  std::map<std::string, std::string> bytes;
+  for (const std::string& name : names) {
+    EXPECT_TRUE(name.ends_with(".exr")) << name;
+    EXPECT_EQ(readImage(folder / name).pixels.width(), 96);
+    bytes[name] = slurp(folder / name);
+  }
+
+  // One frame is lost and one is not whole any more: both come back, bit by bit, and the others stay.
+  fs::remove(folder / "f.0000.exr");
+  fs::resize_file(folder / "f.0001.exr", 200);
+  Words again = words;
+  again[3] = "0-" + std::to_string(names.size() - 1);
+  ASSERT_EQ(run(again).code, 0);
+  for (const auto& [name, content] : bytes) EXPECT_EQ(readExrChannels(folder / name).at("R").data().size(), 96u * 96u);
+  test::TemporaryFolder fresh;
+  Words whole = again;
+  whole[5] = fresh / "f.####.exr";
+  ASSERT_EQ(run(whole).code, 0);
+  for (const std::string& name : names) {
+    const auto resumed = readExrChannels(folder / name), once = readExrChannels(fresh / name);
+    for (const auto& [channel, image] : once)
+      EXPECT_EQ(resumed.at(channel).data(), image.data()) << name << " " << channel;
+  }
+}
+
+TEST(Render, ResumeRendersAgainWhatAnotherSceneMade) {
+  test::TemporaryFolder folder;
+  const Words words{"render", sample().scene, "--frames", "0", "-o", folder / "f.####.exr", "--resume"};
+  ASSERT_EQ(run(words).code, 0);
+  const fs::path frame = folder / "f.0000.exr";
+  const auto first = fs::last_write_time(frame);
+  ASSERT_EQ(run(words).code, 0);
+  EXPECT_EQ(fs::last_write_time(frame), first);
+  Words brighter = words;
+  brighter.insert(brighter.end(), {"--set", "/lights/0/irradiance=[6,6,6]"});
+  ASSERT_EQ(run(brighter).code, 0);
+  EXPECT_NE(fs::last_write_time(frame), first);
+}
+
+// ---- The whole way -------------------------------------------------------------------------------------------------
+
+TEST(Pipeline, MakesFieldFramesSheetAndReportAndThenOnlyWhatIsLeft) {
+  test::TemporaryFolder folder;
+  const Words words{"pipeline", sample().capture, "--scene", sample().scene, "-o", folder / "out"};
+  const Outcome first = run(words);
+  ASSERT_EQ(first.code, 0) << first.err;
+  for (const char* name :
+       {"field.srf/manifest.json", "frames/frame.0000.exr", "frames/frame.0002.exr", "contact_sheet.png"})
+    EXPECT_TRUE(fs::exists(folder / "out" / name)) << name;
+  const std::string page = slurp(folder / "out/report.html");
+  for (const char* part : {"data:image/png;base64,", "Worst:", "IoU", "<svg"})
+    EXPECT_NE(page.find(part), std::string::npos) << part;
+  EXPECT_EQ(page.find("src=\"http"), std::string::npos);
+
+  const auto field_time = fs::last_write_time(folder / "out/field.srf/manifest.json");
+  const auto frame_time = fs::last_write_time(folder / "out/frames/frame.0000.exr");
+  fs::remove(folder / "out/frames/frame.0001.exr");
+  const Outcome second = run(words);
+  ASSERT_EQ(second.code, 0) << second.err;
+  EXPECT_EQ(fs::last_write_time(folder / "out/field.srf/manifest.json"), field_time);
+  EXPECT_EQ(fs::last_write_time(folder / "out/frames/frame.0000.exr"), frame_time);
+  EXPECT_TRUE(fs::exists(folder / "out/frames/frame.0001.exr"));
+
+  Words surfels = words;
+  surfels.insert(surfels.end(), {"--kind", "surfels"});
+  ASSERT_EQ(run(surfels).code, 0);
+  EXPECT_NE(slurp(folder / "out/report.html").find("surfels"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace srf
