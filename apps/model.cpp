@@ -1,1 +1,57 @@
-int main() { return 1; }
+// `srf model`: makes the model inside an SRF, from its hull, a file or a parametric shape (M5, M7, M9).
+#include <bit>
+#include <cstdio>
+
+#include "apps/make_model.h"
+#include "apps/program.h"
+
+namespace srf {
+namespace {
+
+void printSummary(const DeformableModel& model) {
+  std::size_t seen = 0, unseen = 0;
+  for (std::size_t i = 0; i < model.size(); ++i) {
+    std::size_t views = 0;
+    for (std::size_t w = 0; w < model.visible.wordsPerPoint(); ++w) views += std::popcount(model.visible.row(i)[w]);
+    seen += views;
+    unseen += views == 0;
+  }
+  const double points = static_cast<double>(model.size());
+  if (model.kind == ModelKind::mesh) {
+    std::printf("mesh of %s: %zu points, %zu triangles\n", model.shape.c_str(), model.size(), model.triangles.size());
+  } else {
+    std::printf("surfels of %s: %zu points, radius %.4g\n", model.shape.c_str(), model.size(), model.radius.front());
+  }
+  std::printf("surface within %.3g of the object, diameter %.4g\n", model.positional_error, model.bounds().diameter());
+  std::printf("a point is seen by %.1f of %zu views on average; %zu points (%.2f %%) by none\n",
+              static_cast<double>(seen) / points, model.visible.views(), unseen,
+              100 * static_cast<double>(unseen) / points);
+}
+
+}  // namespace
+}  // namespace srf
+
+int main(int argc, char** argv) {
+  using namespace srf;
+  Program program("model", "Makes the model inside an SRF", "GPL-3.0-or-later (links CGAL)");
+  std::string srf_folder, kind = "mesh", shape = "hull", name;
+  ModelOptions options;
+  CLI::App& app = program.app();
+  app.add_option("SRF", srf_folder, "the field, X.srf")->required();
+  app.add_option("--kind", kind, "mesh (triangles) or surfels (elliptical splats)")
+      ->check(CLI::IsMember({"mesh", "surfels"}))
+      ->capture_default_str();
+  app.add_option("--shape", shape, "hull, a PLY or OBJ file (mesh or points), sphere, box, cylinder, plane or torus")
+      ->capture_default_str();
+  app.add_option("--surfels", options.surfels, "about how many surfels; 0: one pixel each, 20000 to 400000")
+      ->capture_default_str();
+  app.add_option("--visibility-bias", options.visibility_bias,
+                 "nearest occluder that hides a point from a view, in parts of the object's diameter")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  app.add_option("--name", name, "name of the model in the field; default: its kind");
+  return program.run(argc, argv, [&](Reporter& reporter) {
+    options.kind = kind == "mesh" ? ModelKind::mesh : ModelKind::surfels;
+    printSummary(makeModel(srf_folder, shape, options, reporter, name));
+  });
+}

@@ -43,6 +43,7 @@ class DeformedModel {
 
   const DeformableModel& model() const { return model_; }
   const std::vector<Point<ObjectSpace>>& positions() const { return p_star_; }
+  const std::vector<Tangents<ObjectSpace>>& tangents() const { return tangents_; }
   const DeformedStatistics& statistics() const { return statistics_; }
   /// Closest hits of the rays, in packets; misses have count 0. Thread-safe.
   void intersect(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
