@@ -1,1 +1,482 @@
-// (written next)
+#include "render/frame_renderer.h"
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cmath>
+#include <limits>
+
+#include "base/numeric.h"
+#include "base/parallel.h"
+#include "render/deferred_shading.h"
+#include "render/light_weights.h"
+#include "render/look_up.h"
+#include "render/view_selection.h"
+
+namespace srf {
+namespace {
+
+constexpr int kBlock = 16;  // pixels along the side of the blocks that a frame is gathered in
+
+using Clock = std::chrono::steady_clock;
+double secondsSince(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+/// Where the samples of a pixel lie in it: a regular grid for square numbers, else the R2 sequence (Roberts 2018).
+std::vector<Vec2> samplePattern(int samples) {
+  std::vector<Vec2> pattern;
+  const int side = static_cast<int>(std::lround(std::sqrt(samples)));
+  if (side * side == samples) {
+    for (int y = 0; y < side; ++y)
+      for (int x = 0; x < side; ++x) pattern.push_back({(x + 0.5) / side, (y + 0.5) / side});
+    return pattern;
+  }
+  constexpr double kPlastic = 1.32471795724474602596;  // root of x^3 = x + 1
+  const auto wrap = [](double x) { return x - std::floor(x); };
+  for (int i = 0; i < samples; ++i)
+    pattern.push_back({wrap(0.5 + i / kPlastic), wrap(0.5 + i / (kPlastic * kPlastic))});
+  return pattern;
+}
+
+struct LayerGroup {
+  const char* name;
+  std::vector<const char*> channels;  ///< of the group "view": made from k
+};
+const std::vector<LayerGroup>& layerGroups() {
+  static const std::vector<LayerGroup> groups{
+      {"P", {"P.X", "P.Y", "P.Z"}},
+      {"P0", {"P0.X", "P0.Y", "P0.Z"}},
+      {"N", {"N.X", "N.Y", "N.Z"}},
+      {"L", {"L.X", "L.Y", "L.Z", "L.W"}},
+      {"handedness", {"handedness"}},
+      {"V", {"V.X", "V.Y", "V.Z"}},
+      {"Z", {"Z"}},
+      {"view", {}},
+      {"confidence", {"confidence"}},
+  };
+  return groups;
+}
+
+/// What the layers show of one hit.
+struct LayerValues {
+  const SurfaceHit& hit;
+  const LookUp& look_up;
+  const Direction<AcquisitionSpace>& view;
+  const std::vector<ChosenView>& chosen;
+};
+
+/// The layers asked for, one image a channel.
+class Layers {
+ public:
+  Layers(const std::set<std::string>& groups, int views, int width, int height) : views_(views) {
+    const auto add = [&](const std::string& channel, float fill) {
+      images_.emplace(channel, ImageF(width, height, 1, fill));
+    };
+    for (const LayerGroup& group : layerGroups()) {
+      if (!groups.contains(group.name)) continue;
+      for (const char* channel : group.channels) add(channel, 0);
+      if (std::string(group.name) != "view") continue;
+      for (int i = 0; i < views; ++i) {
+        add("view." + std::to_string(i), -1);
+        add("view.weight." + std::to_string(i), 0);
+      }
+    }
+  }
+  bool wanted() const { return !images_.empty(); }
+  void set(int x, int y, const LayerValues& at) {
+    put(x, y, "P", at.hit.p_star.raw());
+    put(x, y, "P0", at.look_up.p.raw());
+    put(x, y, "N", (at.look_up.acquisition_from_object.inverse() * at.look_up.normal).raw());
+    put(x, y, "V", at.view.raw());
+    const double sign = determinant(at.look_up.acquisition_from_object) < 0 ? -1 : 1;
+    if (images_.contains("L.W")) {
+      const Quaternion q = quaternionFromRotation(sign * at.look_up.acquisition_from_object.raw());
+      put(x, y, "L", {q.x, q.y, q.z});
+      put(x, y, "L.W", q.w);
+    }
+    put(x, y, "handedness", sign);
+    put(x, y, "Z", at.hit.distance);
+    for (int i = 0; i < std::min<int>(views_, static_cast<int>(at.chosen.size())); ++i) {
+      put(x, y, "view." + std::to_string(i), at.chosen[i].view);
+      put(x, y, "view.weight." + std::to_string(i), at.chosen[i].weight);
+    }
+    double nearest = kPi;
+    for (const ChosenView& chosen : at.chosen) nearest = std::min(nearest, chosen.angle);
+    put(x, y, "confidence", degrees(nearest));
+  }
+  std::map<std::string, ImageF> take() { return std::move(images_); }
+
+ private:
+  void put(int x, int y, const std::string& channel, double value) {
+    const auto image = images_.find(channel);
+    if (image != images_.end()) image->second.at(x, y) = std::isfinite(value) ? static_cast<float>(value) : 0.f;
+  }
+  void put(int x, int y, const std::string& group, const Vec3& value) {
+    put(x, y, group + ".X", value.x);
+    put(x, y, group + ".Y", value.y);
+    put(x, y, group + ".Z", value.z);
+  }
+
+  int views_;
+  std::map<std::string, ImageF> images_;
+};
+
+/// L of every point of the model, where it is the same for all: the frame is at rest or moved rigidly (or scaled).
+std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> onlyOrientation(const DeformedModel& deformed,
+                                                                         FrameMode mode) {
+  constexpr double kSame = 1e-9;  // far above rounding, far below what weights of lights can show
+  const DeformableModel& model = deformed.model();
+  std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> only;
+  for (std::size_t i = 0; i < model.size(); ++i) {
+    SurfaceHit hit;
+    hit.acquisition_from_tangent = rotationFromRodrigues(model.r0[i]);
+    hit.tangents = deformed.tangents()[i];
+    const LookUp look_up = lookUp(hit, mode);
+    if (look_up.collapsed) return std::nullopt;
+    if (!only) only = look_up.acquisition_from_object;
+    for (int row = 0; row < 3; ++row)
+      for (int column = 0; column < 3; ++column)
+        if (!(std::fabs(look_up.acquisition_from_object.raw().row[row][column] - only->raw().row[row][column]) <=
+              kSame))
+          return std::nullopt;
+  }
+  return only;
+}
+
+/// One block of pixels on its way.
+struct PixelBlock {
+  ShadingBatch shading;
+  std::vector<std::uint32_t> pixel;  ///< of each target
+  std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
+  double seconds_trace = 0, seconds_look_up = 0, seconds_views = 0, seconds_weights = 0, seconds_sort = 0;
+
+  std::size_t bytes() const {
+    return shading.operations.capacity() * (sizeof(ShadingOperation) + sizeof(Rgb)) + shading.lights.bytes() +
+           pixel.capacity() * sizeof(std::uint32_t);
+  }
+};
+
+}  // namespace
+
+std::vector<std::string> knownLayers() {
+  std::vector<std::string> names;
+  for (const LayerGroup& group : layerGroups()) names.emplace_back(group.name);
+  return names;
+}
+
+struct FrameRenderer::State {
+  State(const std::filesystem::path& srf_folder, const SrfManifest& manifest, const DeformableModel& model,
+        const FrameSettings& frame_settings, Reporter& frame_reporter);
+
+  void gather(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLighting& lighting,
+              std::span<const std::uint8_t> allowed, std::span<const Vec2> pattern, int block, PixelBlock& out,
+              Layers& layers) const;
+  void addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
+                     std::vector<ShadingOperation>& out) const;
+
+  FrameSettings settings;
+  Reporter& reporter;
+  double diameter;
+  std::vector<std::unique_ptr<ReflectanceStore>> stores;  ///< of each view; none for a view of silhouette alone
+  std::vector<AcquiredLights> lists;
+  std::vector<std::uint32_t> list_of_view;
+  std::optional<ViewSelection> selection;
+  std::optional<BlockCache> cache;
+  std::optional<DeferredShading> shading;
+  SharedLightVectors shared;
+  std::map<std::string, double> seconds;  ///< by stage, over all frames
+};
+
+FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfManifest& manifest,
+                            const DeformableModel& model, const FrameSettings& frame_settings, Reporter& frame_reporter)
+    : settings(frame_settings), reporter(frame_reporter), diameter(model.bounds().diameter()) {
+  const std::size_t most_views = std::numeric_limits<decltype(ShadingOperation::view)>::max();
+  if (manifest.views.size() > most_views)
+    throw badInput(srf_folder.string(), "has " + std::to_string(manifest.views.size()) + " views; at most " +
+                                            std::to_string(most_views) + " can be rendered");
+  settings.accuracy.views = std::max(1, settings.accuracy.views);
+  settings.accuracy.lights = std::max(1, settings.accuracy.lights);
+
+  std::vector<SourceView> views;
+  std::vector<StoreGeometry> geometry;
+  std::vector<const ReflectanceStore*> opened;
+  const Box<AcquisitionSpace> box = model.bounds();
+  for (const StoredView& view : manifest.views) {
+    SourceView source{view.camera, {}, nullptr, view.black_background};
+    stores.push_back(nullptr);
+    if (!view.file.empty()) {
+      const std::filesystem::path file = srf_folder / view.file;
+      stores.back() = std::make_unique<ReflectanceStore>(file);
+      const ReflectanceStore& store = *stores.back();
+      if (store.contentHash() != view.hash || store.geometry().light_count != static_cast<int>(view.lights.size()))
+        throw badInput(file.string(),
+                       "is not the store that the manifest describes (hash " + hexHash(store.contentHash()) + ", " +
+                           std::to_string(store.geometry().light_count) + " lights; expected " + hexHash(view.hash) +
+                           ", " + std::to_string(view.lights.size()) + "): run srf acquire again");
+      source.geometry = store.geometry();
+      source.coverage = &store.coverage();
+    }
+    views.push_back(source);
+    geometry.push_back(source.geometry);
+    opened.push_back(stores.back().get());
+    const auto same =
+        std::find_if(lists.begin(), lists.end(), [&](const auto& list) { return list.ids() == view.lights; });
+    list_of_view.push_back(static_cast<std::uint32_t>(same - lists.begin()));
+    if (same == lists.end()) lists.emplace_back(view.lights, manifest.lights, box, settings.accuracy.lights);
+  }
+  selection.emplace(std::move(views), model.visible, settings.accuracy.views);
+  cache.emplace(opened, settings.memory_bytes / 2);
+  shading.emplace(std::move(geometry), *cache);
+}
+
+void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
+                                         std::vector<ShadingOperation>& out) const {
+  // The 2 x 2 texels fall into at most 2 x 2 tiles; each tile gets the taps that lie in it.
+  const StoreGeometry& geometry = selection->views()[chosen.view].geometry;
+  const std::size_t first = out.size();
+  for (int t = 0; t < 4; ++t) {
+    if (!(chosen.fetch.tap[t] > 0)) continue;
+    const int x = chosen.fetch.x + t % 2, y = chosen.fetch.y + t / 2;
+    const int tile_x = x / kTile, tile_y = y / kTile;
+    const auto tile = static_cast<std::uint32_t>(tile_y * geometry.tiles_x + tile_x);
+    // The first texel of the fetch, or where the fetch enters the tile.
+    const int corner_x = std::max(chosen.fetch.x - tile_x * kTile, 0);
+    const int corner_y = std::max(chosen.fetch.y - tile_y * kTile, 0);
+    std::size_t at = first;
+    while (at < out.size() && out[at].tile != tile) ++at;
+    if (at == out.size())
+      out.push_back({target,
+                     lights,
+                     tile,
+                     static_cast<std::uint16_t>(chosen.view),
+                     static_cast<std::uint8_t>(corner_x),
+                     static_cast<std::uint8_t>(corner_y),
+                     {}});
+    out[at].tap[(y % kTile - corner_y) * 2 + (x % kTile - corner_x)] =
+        static_cast<float>(chosen.weight * chosen.fetch.tap[t]);
+  }
+}
+
+void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const DeformedModel& deformed,
+                                  const FrameLighting& lighting, std::span<const std::uint8_t> allowed,
+                                  std::span<const Vec2> pattern, int block, PixelBlock& out, Layers& layers) const {
+  const int width = camera.lens.width, height = camera.lens.height;
+  const int blocks_x = (width + kBlock - 1) / kBlock;
+  const int x0 = block % blocks_x * kBlock, y0 = block / blocks_x * kBlock;
+  std::vector<Ray<ObjectSpace>> rays;
+  std::vector<std::uint32_t> pixels;  // of each ray
+  for (int y = y0; y < std::min(height, y0 + kBlock); ++y)
+    for (int x = x0; x < std::min(width, x0 + kBlock); ++x)
+      for (const Vec2& at : pattern)
+        if (const auto ray = camera.ray({x + at.x, y + at.y})) {
+          rays.push_back(*ray);
+          pixels.push_back(static_cast<std::uint32_t>(y * width + x));
+        }
+  auto clock = Clock::now();
+  const auto lap = [&](double& stage) {
+    const auto now = Clock::now();
+    stage += std::chrono::duration<double>(now - clock).count();
+    clock = now;
+  };
+  std::vector<SurfaceHit> hits(rays.size());
+  deformed.intersect(rays, hits);  // M10
+  lap(out.seconds_trace);
+
+  std::vector<std::size_t> met;
+  std::vector<LookUp> look_ups;
+  for (std::size_t i = 0; i < hits.size(); ++i)
+    if (hits[i].count > 0) {
+      met.push_back(i);
+      look_ups.push_back(lookUp(hits[i], settings.accuracy.frame));  // M11
+      out.collapsed += look_ups.back().collapsed;
+    }
+  lap(out.seconds_look_up);
+
+  ViewSelection::Scratch scratch;
+  std::vector<ChosenView> chosen;
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> handles;  // (list, light weights) of the hit
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> wanted;   // (position in met, list) by handle, weighed below
+  for (std::size_t m = 0; m < met.size(); ++m) {
+    const SurfaceHit& hit = hits[met[m]];
+    const LookUp& look_up = look_ups[m];
+    const auto target = static_cast<std::uint32_t>(out.pixel.size());
+    const bool first_of_pixel = out.pixel.empty() || out.pixel.back() != pixels[met[m]];
+    out.pixel.push_back(pixels[met[m]]);
+
+    const Direction<AcquisitionSpace> view = look_up.acquisition_from_object * -rays[met[m]].direction;  // v = L v*
+    ViewQuery query{look_up.p, view, look_up.normal};
+    if (!camera.lens.isOrthographic()) query.eye_distance = distance(camera.center(), hit.p_star);
+    query.points = {hit.point, static_cast<std::size_t>(hit.count)};
+    query.point_weights = {hit.weight, static_cast<std::size_t>(hit.count)};
+    const ViewSelection::Result seen = selection->select(query, allowed, scratch, chosen);  // M12
+    out.not_seen += seen == ViewSelection::Result::not_seen;
+    out.no_view += seen == ViewSelection::Result::none;
+
+    handles.clear();
+    for (const ChosenView& c : chosen) {
+      const std::uint32_t list = list_of_view[c.view];
+      auto handle = std::find_if(handles.begin(), handles.end(), [&](const auto& h) { return h.first == list; });
+      if (handle == handles.end()) {
+        handle = handles.insert(handle, {list, static_cast<std::uint32_t>(wanted.size())});
+        wanted.emplace_back(static_cast<std::uint32_t>(m), list);
+      }
+      addOperations(target, c, handle->second, out.shading.operations);
+    }
+    if (first_of_pixel && layers.wanted())
+      layers.set(static_cast<int>(pixels[met[m]] % width), static_cast<int>(pixels[met[m]] / width),
+                 {hit, look_up, view, chosen});
+  }
+  out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
+  lap(out.seconds_views);
+
+  for (const auto& [m, list] : wanted) {  // M13, M14
+    const LookUp& look_up = look_ups[m];
+    lighting.gather(list,
+                    {look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
+                     look_up.acquisition_from_object.inverse() * look_up.normal},
+                    out.shading.lights);
+  }
+  out.shading.lights.known = {};
+  lap(out.seconds_weights);
+  sortOperations(out.shading);
+  lap(out.seconds_sort);
+}
+
+FrameRenderer::FrameRenderer(const std::filesystem::path& srf_folder, const SrfManifest& manifest,
+                             const DeformableModel& model, const FrameSettings& settings, Reporter& reporter)
+    : state_(std::make_unique<State>(srf_folder, manifest, model, settings, reporter)) {}
+FrameRenderer::~FrameRenderer() = default;
+
+Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedModel& deformed,
+                            const FrameLights& lights) {
+  State& s = *state_;
+  const int width = camera.lens.width, height = camera.lens.height;
+  const std::vector<Vec2> pattern = samplePattern(std::max(1, s.settings.samples));
+  auto clock = Clock::now();
+  const auto lap = [&](const std::string& stage) {
+    s.seconds[stage] += secondsSince(clock);
+    clock = Clock::now();
+  };
+
+  FrameLighting::Options options;
+  options.sharing = s.settings.accuracy.light_sharing;
+  options.min_distance = std::max(s.settings.accuracy.min_distance, 1e-9) * s.diameter;
+  if (!lights.distant.empty()) options.only_orientation = onlyOrientation(deformed, s.settings.accuracy.frame);
+  const FrameLighting lighting(lights, s.lists, options);
+  s.shared.prepare(lighting);
+  std::vector<std::uint8_t> allowed;
+  for (std::size_t v = 0; v < s.stores.size(); ++v)
+    allowed.push_back(s.stores[v] && lighting.serves(s.list_of_view[v]));
+  lap("weights");
+
+  // Double sums: with many samples a float would lose digits.
+  std::vector<std::array<double, 4>> sums(static_cast<std::size_t>(width) * height);
+  Layers layers(s.settings.layers, s.settings.accuracy.views, width, height);
+  const int blocks = ((width + kBlock - 1) / kBlock) * ((height + kBlock - 1) / kBlock);
+  // Gathered in groups until the budget is full; a group is small against it, and large enough for the threads.
+  const std::size_t budget = s.settings.memory_bytes / 2;
+  const std::size_t ray_bytes = 2048;  // a hit's operations, weights and share of new vectors, generously
+  const std::size_t block_bytes = kBlock * kBlock * pattern.size() * ray_bytes;
+  const int group = static_cast<int>(std::clamp<std::size_t>(budget / 4 / block_bytes, 1, 256));
+  std::uint64_t hit_count = 0, operation_count = 0, vector_count = 0;
+  for (int next = 0; next < blocks;) {
+    std::vector<PixelBlock> batch;
+    std::size_t bytes = 0;
+    if (s.shared.bytes() > budget / 2) s.shared.clear();
+    while (next < blocks && bytes + s.shared.bytes() < budget) {
+      throwIfInterrupted();
+      const int count = std::min(group, blocks - next);
+      const std::size_t first = batch.size();
+      batch.resize(first + count);
+      parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i)
+          s.gather(camera, deformed, lighting, allowed, pattern, next + static_cast<int>(i), batch[first + i], layers);
+      });
+      double trace = 0, look_up = 0, views = 0, weights = 0, sort = 0;
+      for (std::size_t i = first; i < batch.size(); ++i) {
+        bytes += batch[i].bytes();
+        s.shared.want(batch[i].shading.lights.wanted, lighting);
+        trace += batch[i].seconds_trace;
+        look_up += batch[i].seconds_look_up;
+        views += batch[i].seconds_views;
+        weights += batch[i].seconds_weights;
+        sort += batch[i].seconds_sort;
+      }
+      // The threads worked on all of these at once: each stage's part of the time that passed.
+      const double passed = secondsSince(clock), all = std::max(trace + look_up + views + weights + sort, 1e-12);
+      s.seconds["trace"] += passed * trace / all;
+      s.seconds["look_up"] += passed * look_up / all;
+      s.seconds["views"] += passed * views / all;
+      s.seconds["weights"] += passed * weights / all;
+      s.seconds["sort"] += passed * sort / all;
+      clock = Clock::now();
+      next += count;
+    }
+    const std::uint64_t computed_before = s.shared.computed();
+    s.shared.compute(lighting);
+    vector_count += s.shared.computed() - computed_before;
+    lap("weights");
+    std::vector<ShadingBatch> shading;
+    shading.reserve(batch.size());
+    for (PixelBlock& block : batch) {
+      s.shared.resolve(block.shading.lights);
+      shading.push_back(std::move(block.shading));
+    }
+    s.shading->execute(shading);  // M15
+    lap("execute");
+    parallelFor(batch.size(), 16, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t b = begin; b < end; ++b) {
+        const auto colors = sumResults(shading[b]);
+        for (std::size_t t = 0; t < colors.size(); ++t) {
+          auto& sum = sums[batch[b].pixel[t]];
+          for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
+          sum[3] += 1;
+        }
+      }
+    });
+    lap("resolve");
+    std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
+    for (std::size_t b = 0; b < batch.size(); ++b) {
+      hit_count += shading[b].targets;
+      operation_count += shading[b].operations.size();
+      vector_count += shading[b].lights.weights.size();
+      collapsed += batch[b].collapsed;
+      not_seen += batch[b].not_seen;
+      no_view += batch[b].no_view;
+    }
+    if (collapsed) s.reporter.count("frame.collapsed", collapsed);
+    if (not_seen) s.reporter.count("hits.no_visible_view", not_seen);
+    if (no_view) s.reporter.count("hits.no_view", no_view);
+  }
+
+  Frame frame;
+  frame.rgba = ImageF(width, height, 4);
+  std::size_t not_finite = 0;
+  for (std::size_t i = 0; i < sums.size(); ++i)
+    for (int c = 0; c < 4; ++c) {
+      // A light beyond the range of float is clamped, so that no NaN or Inf is ever written.
+      constexpr double kMost = std::numeric_limits<float>::max();
+      const double value = sums[i][c] / static_cast<double>(pattern.size());
+      not_finite += !(std::fabs(value) <= kMost);
+      frame.rgba.data()[4 * i + c] = static_cast<float>(std::isnan(value) ? 0 : std::clamp(value, -kMost, kMost));
+    }
+  frame.layers = layers.take();
+  lap("resolve");
+
+  s.reporter.count("hits", hit_count);
+  s.reporter.count("operations", operation_count);
+  s.reporter.count("light_vectors", vector_count);
+  if (not_finite) s.reporter.count("pixels.not_finite", not_finite);
+  const CacheStatistics statistics = s.cache->statistics();
+  s.reporter.figure("cache.hits", static_cast<double>(statistics.hits));
+  s.reporter.figure("cache.misses", static_cast<double>(statistics.misses));
+  s.reporter.figure("cache.reread", static_cast<double>(statistics.reread));
+  s.reporter.figure("cache.bytes_read", static_cast<double>(statistics.bytes_read));
+  s.reporter.figure("cache.peak_bytes", static_cast<double>(statistics.peak_bytes));
+  s.reporter.figure("seconds.reading", statistics.seconds_reading);
+  for (const auto& [stage, seconds] : s.seconds) s.reporter.figure("seconds." + stage, seconds);
+  return frame;
+}
+
+}  // namespace srf

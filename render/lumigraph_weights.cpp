@@ -1,1 +1,44 @@
-// (written next)
+// Buehler et al., Unstructured Lumigraph Rendering (2001); the 1/P form reproduces a captured view.
+#include "render/lumigraph_weights.h"
+
+#include <algorithm>
+
+namespace srf {
+
+double resolutionPenalty(double source_distance, double desired_distance) {
+  if (!(desired_distance > 0)) return 0;
+  return kResolutionPenalty * std::max(0.0, source_distance - desired_distance) / desired_distance;
+}
+
+double viewPenalty(double angle, double resolution, double usable) {
+  // The floor comes before the division: a captured view that fades out of sight fades, it does not vanish at once.
+  return std::max(angle + resolution, kLeastPenalty) / usable;
+}
+
+void lumigraphWeights(std::vector<Penalised>& candidates, int k, std::vector<Weighted>& weights) {
+  weights.clear();
+  std::erase_if(candidates, [](const Penalised& c) { return !(c.penalty < kPenaltyCap); });
+  const std::size_t nearest = std::min<std::size_t>(candidates.size(), k);
+  const std::size_t sorted = std::min<std::size_t>(candidates.size(), k + std::size_t{1});
+  std::partial_sort(candidates.begin(), candidates.begin() + sorted, candidates.end());
+
+  // With k or fewer usable sources the threshold lies far beyond them: nothing jumps when another one appears, and a
+  // lone source gets weight 1.
+  const double t = candidates.size() > nearest ? std::max(candidates[nearest].penalty, kLeastPenalty) : kPenaltyCap;
+  double sum = 0;
+  for (std::size_t i = 0; i < nearest; ++i) {
+    const double weight = 1 / std::max(candidates[i].penalty, kLeastPenalty) - 1 / t;
+    if (!(weight > 0)) break;  // sorted: the rest ties at the threshold
+    weights.push_back({candidates[i].source, weight});
+    sum += weight;
+  }
+  if (weights.empty())
+    for (const Penalised& c : candidates)
+      if (c.penalty <= t) {
+        weights.push_back({c.source, 1});
+        sum += 1;
+      }
+  for (Weighted& w : weights) w.weight /= sum;
+}
+
+}  // namespace srf

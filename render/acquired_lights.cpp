@@ -1,0 +1,160 @@
+#include "render/acquired_lights.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/numeric.h"
+#include "base/parallel.h"
+
+namespace srf {
+namespace {
+
+struct CubeCell {
+  int face, x, y;
+};
+
+CubeCell cubeCell(const Vec3& d, int resolution) {
+  const Vec3 a{std::fabs(d.x), std::fabs(d.y), std::fabs(d.z)};
+  const int axis = a.x >= a.y ? (a.x >= a.z ? 0 : 2) : (a.y >= a.z ? 1 : 2);
+  const double scale = 0.5 * resolution / a[axis], middle = 0.5 * resolution;
+  const auto index = [&](double coordinate) {
+    return std::clamp(static_cast<int>(coordinate * scale + middle), 0, resolution - 1);
+  };
+  return {2 * axis + (d[axis] < 0 ? 1 : 0), index(d[(axis + 1) % 3]), index(d[(axis + 2) % 3])};
+}
+
+/// Unit vector at face coordinates (s, t) in [-1, 1].
+Vec3 cubeDirection(int face, double s, double t) {
+  const int axis = face / 2;
+  Vec3 d;
+  d[axis] = face % 2 ? -1 : 1;
+  d[(axis + 1) % 3] = s;
+  d[(axis + 2) % 3] = t;
+  return d / length(d);
+}
+
+double inverseOrZero(double x) {
+  return x > 0 && std::isfinite(x) ? 1 / x : 0;
+}
+
+}  // namespace
+
+AcquiredLights::AcquiredLights(const std::vector<LightId>& ids, const std::vector<CaptureLight>& all,
+                               const Box<AcquisitionSpace>& object, int k)
+    : ids_(ids), k_(k) {
+  const Point<AcquisitionSpace> center = object.empty() ? Point<AcquisitionSpace>() : object.center();
+  // Splats reach a little beyond their centres.
+  const double radius = 0.55 * object.diameter();
+  double parallax = 0;  // how far a light's direction may differ between the centre and a point of the object
+  for (const LightId id : ids) {
+    const CaptureLight& light = all[id.value];
+    if (light.kind != LightKind::captured) usable_.push_back(static_cast<std::uint32_t>(lights_.size()));
+    if (light.kind == LightKind::point) {
+      distant_ = false;
+      const double d = distance(light.position, center);
+      parallax = std::max(parallax, d > radius ? std::asin(radius / d) : kPi);
+    }
+    lights_.push_back(light);
+    direction_.push_back(light.directionFrom(center).raw());
+    inverse_.push_back(
+        {inverseOrZero(light.strength.x), inverseOrZero(light.strength.y), inverseOrZero(light.strength.z)});
+  }
+  if (usable_.empty()) return;
+
+  // Cells about half as wide as the lights lie apart.
+  resolution_ = std::clamp(static_cast<int>(2 * std::sqrt(static_cast<double>(usable_.size()))), 1, 32);
+  const std::size_t cells = 6 * static_cast<std::size_t>(resolution_) * resolution_;
+  std::vector<std::vector<std::uint32_t>> lists(cells);
+  parallelFor(cells, 64, [&](std::size_t first, std::size_t last) {
+    std::vector<Penalised> order(usable_.size());
+    for (std::size_t c = first; c < last; ++c) {
+      const int face = static_cast<int>(c / (resolution_ * resolution_));
+      const int x = static_cast<int>(c % resolution_), y = static_cast<int>(c / resolution_ % resolution_);
+      const auto at = [&](double i) { return 2 * i / resolution_ - 1; };
+      const Vec3 middle = cubeDirection(face, at(x + 0.5), at(y + 0.5));
+      double reach = 0;  // a cell is convex: no direction in it is further from the middle than a corner
+      for (const auto& [i, j] : {std::pair{0, 0}, {0, 1}, {1, 0}, {1, 1}})
+        reach = std::max(reach, angleBetweenUnit(middle, cubeDirection(face, at(x + i), at(y + j))));
+      for (std::size_t i = 0; i < order.size(); ++i)
+        order[i] = {angleBetweenUnit(middle, direction_[usable_[i]]), usable_[i]};
+      std::sort(order.begin(), order.end());
+      // From a direction in the cell and a point of the object, the (k+1)-th nearest light is at most
+      // P_(k+1) + reach + parallax away, and a light at angle P is at least P - reach - parallax away.
+      const std::size_t last_wanted = std::min<std::size_t>(k_, order.size() - 1);
+      const double limit = order[last_wanted].penalty + 2 * (reach + parallax) + 1e-6;
+      for (const Penalised& light : order)
+        if (light.penalty <= limit) lists[c].push_back(light.source);
+    }
+  });
+  begin_.reserve(cells + 1);
+  for (const auto& list : lists) {
+    begin_.push_back(static_cast<std::uint32_t>(candidates_.size()));
+    candidates_.insert(candidates_.end(), list.begin(), list.end());
+  }
+  begin_.push_back(static_cast<std::uint32_t>(candidates_.size()));
+}
+
+std::optional<std::uint32_t> AcquiredLights::find(LightId light) const {
+  const auto at = std::find(ids_.begin(), ids_.end(), light);
+  if (at == ids_.end()) return std::nullopt;
+  return static_cast<std::uint32_t>(at - ids_.begin());
+}
+
+std::span<const std::uint32_t> AcquiredLights::cell(const Vec3& direction) const {
+  const CubeCell at = cubeCell(direction, resolution_);
+  const std::size_t c = (static_cast<std::size_t>(at.face) * resolution_ + at.y) * resolution_ + at.x;
+  return {candidates_.data() + begin_[c], candidates_.data() + begin_[c + 1]};
+}
+
+Vec3 AcquiredLights::directionFrom(std::uint32_t i, const Point<AcquisitionSpace>& p) const {
+  return distant_ ? direction_[i] : lights_[i].directionFrom(p).raw();
+}
+
+void AcquiredLights::nearest(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p,
+                             std::vector<Penalised>& scratch, std::vector<Weighted>& weights) const {
+  if (usable_.empty()) {
+    weights.clear();
+    return;
+  }
+  // Ranked by the square of the chord, which grows with the angle and keeps the digits of small ones; only the k + 1
+  // nearest pay for an arcsine.
+  const Vec3 d = direction.raw();
+  const auto chord2 = [&](std::uint32_t i) {
+    const Vec3 difference = d - directionFrom(i, p);
+    return dot(difference, difference);
+  };
+  const std::span<const std::uint32_t> candidates = cell(d);
+  const std::size_t wanted = k_ + std::size_t{1};
+  scratch.clear();
+  for (const std::uint32_t i : candidates) {
+    const Penalised light{chord2(i), i};
+    if (scratch.size() == wanted) {
+      if (!(light < scratch.back())) continue;
+      scratch.back() = light;
+    } else {
+      scratch.push_back(light);
+    }
+    for (std::size_t j = scratch.size() - 1; j > 0 && scratch[j] < scratch[j - 1]; --j)
+      std::swap(scratch[j], scratch[j - 1]);
+  }
+  const auto floored = [](double c2) { return std::max(c2, square(kLeastPenalty)); };
+  if (scratch.size() == wanted && floored(scratch.back().penalty) == floored(scratch.front().penalty)) {
+    // All tie: the others that tie with them share too (lumigraphWeights).
+    const double tie = floored(scratch.front().penalty);
+    scratch.clear();
+    for (const std::uint32_t i : candidates)
+      if (floored(chord2(i)) <= tie) scratch.push_back({chord2(i), i});
+  }
+  for (Penalised& light : scratch)
+    light.penalty = light.penalty <= 2 ? 2 * std::asin(0.5 * std::sqrt(light.penalty))
+                                       : angleBetweenUnit(d, directionFrom(light.source, p));
+  lumigraphWeights(scratch, k_, weights);
+}
+
+Vec3 AcquiredLights::inverseIrradiance(std::uint32_t i, const Point<AcquisitionSpace>& p) const {
+  if (lights_[i].kind != LightKind::point) return inverse_[i];
+  const double d = distance(lights_[i].position, p);
+  return (d * d) * inverse_[i];
+}
+
+}  // namespace srf

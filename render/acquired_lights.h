@@ -1,0 +1,54 @@
+// The lights that views were photographed under, as cameras at infinity: for a direction, the k nearest and their
+// weights (M13). No visibility enters: shadows are in the photographs.
+#pragma once
+
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "field/capture.h"
+#include "render/lumigraph_weights.h"
+
+namespace srf {
+
+/// One list of lights (StoredView.lights, shared by every view with an equal list) with an exact index over directions:
+/// the cells of a cube, each with the lights that can be among the k + 1 nearest of a direction in the cell, seen from
+/// any point of the object.
+class AcquiredLights {
+ public:
+  /// `object`: box of every p that will be asked about.
+  AcquiredLights(const std::vector<LightId>& ids, const std::vector<CaptureLight>& all,
+                 const Box<AcquisitionSpace>& object, int k);
+
+  const std::vector<LightId>& ids() const { return ids_; }
+  int count() const { return static_cast<int>(lights_.size()); }
+  /// All lie at infinity: what they answer depends on the direction alone.
+  bool distant() const { return distant_; }
+  /// Has lights of known direction: can stand for other lights.
+  bool relightable() const { return !usable_.empty(); }
+  std::optional<std::uint32_t> find(LightId light) const;
+
+  /// Weights of the k nearest lights to `direction` at p, sum 1; sources are positions in ids(). `scratch` is only
+  /// memory.
+  void nearest(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p,
+               std::vector<Penalised>& scratch, std::vector<Weighted>& weights) const;
+  /// 1 / irradiance of light i at p per channel; 0 in a channel where the light is dark.
+  Vec3 inverseIrradiance(std::uint32_t i, const Point<AcquisitionSpace>& p) const;
+
+ private:
+  std::span<const std::uint32_t> cell(const Vec3& direction) const;
+  Vec3 directionFrom(std::uint32_t i, const Point<AcquisitionSpace>& p) const;
+
+  std::vector<LightId> ids_;
+  std::vector<CaptureLight> lights_;
+  std::vector<std::uint32_t> usable_;  ///< positions of the lights of known direction
+  std::vector<Vec3> direction_;        ///< of distant lights
+  std::vector<Vec3> inverse_;          ///< of distant lights
+  bool distant_ = true;
+  int k_;
+  int resolution_ = 1;                ///< cells along the edge of a cube face
+  std::vector<std::uint32_t> begin_;  ///< of each cell in candidates_, and the end
+  std::vector<std::uint32_t> candidates_;
+};
+
+}  // namespace srf

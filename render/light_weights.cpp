@@ -1,0 +1,187 @@
+#include "render/light_weights.h"
+
+#include <algorithm>
+
+#include "base/parallel.h"
+
+namespace srf {
+namespace {
+
+/// With fewer distant lights than this the exact weights of a hit cost less than a blend of shared vectors.
+constexpr std::size_t kFewestShared = 9;
+/// The key of a frame's only orientation; no corner of the grid has it.
+constexpr std::uint64_t kOnlyOrientation = ~std::uint64_t{0};
+
+}  // namespace
+
+const float* LightGather::vector(const LightWeights& w, int pad, float* scratch_vector) const {
+  if (w.entries == 0) {
+    if (w.own != LightWeights::kNone && w.share == std::array<float, 4>{}) return own.data() + w.own;
+    if (w.own == LightWeights::kNone && w.share == std::array<float, 4>{1}) return vectors[w.shared[0]];
+  }
+  const int count = 3 * pad;
+  if (w.own != LightWeights::kNone)
+    std::copy_n(own.data() + w.own, count, scratch_vector);
+  else
+    std::fill_n(scratch_vector, count, 0.f);
+  for (int i = 0; i < 4; ++i)
+    if (w.share[i] > 0) addScaled(scratch_vector, w.share[i], vectors[w.shared[i]], count);
+  for (std::uint32_t e = w.first_entry; e < w.first_entry + w.entries; ++e)
+    for (int c = 0; c < 3; ++c) scratch_vector[c * pad + entries[e].light] += entries[e].weight[c];
+  return scratch_vector;
+}
+
+std::size_t LightGather::bytes() const {
+  return weights.capacity() * sizeof(LightWeights) + entries.capacity() * sizeof(LightEntry) +
+         own.capacity() * sizeof(float) + wanted.capacity() * (sizeof(SharedKey) + sizeof(float*) + 48);
+}
+
+FrameLighting::FrameLighting(const FrameLights& lights, std::span<const AcquiredLights> lists, const Options& options)
+    : lights_(lights), lists_(lists), options_(options) {
+  if (options_.sharing > 0) grid_.emplace(options_.sharing);
+  for (const AcquiredLights& list : lists_) {
+    bool serves = list.relightable() || (lights.distant.empty() && lights.near_lights.empty());
+    for (const RestLight& rest : lights.rest) serves = serves && list.find(rest.light);
+    serves_.push_back(serves);
+  }
+}
+
+bool FrameLighting::shares(std::uint32_t list) const {
+  return lists_[list].distant() && !lights_.distant.empty() &&
+         (options_.only_orientation || (grid_ && lights_.distant.size() >= kFewestShared));
+}
+
+bool FrameLighting::sharesLike(const std::vector<DistantLight>& distant,
+                               const std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>>& only_orientation) const {
+  const auto same = [](const DistantLight& a, const DistantLight& b) {
+    return a.direction == b.direction && a.irradiance == b.irradiance;
+  };
+  const auto matrix = [](const auto& orientation) { return orientation ? orientation->raw() : Mat3{}; };
+  return only_orientation.has_value() == options_.only_orientation.has_value() &&
+         matrix(only_orientation) == matrix(options_.only_orientation) &&
+         std::equal(distant.begin(), distant.end(), lights_.distant.begin(), lights_.distant.end(), same);
+}
+
+template <class Add>
+void FrameLighting::standIn(const AcquiredLights& list, const Direction<AcquisitionSpace>& direction,
+                            const Vec3& irradiance, const Point<AcquisitionSpace>& p, std::vector<Penalised>& scratch,
+                            std::vector<Weighted>& nearest, const Add& add) const {
+  list.nearest(direction, p, scratch, nearest);
+  for (const Weighted& light : nearest)
+    add(light.source, light.weight * (irradiance * list.inverseIrradiance(light.source, p)));
+}
+
+void FrameLighting::noteShared(std::uint32_t list, const LitPoint& point, LightGather& out, LightWeights& w) const {
+  OrientationGrid::Blend blend{{kOnlyOrientation}, {1}};
+  if (!options_.only_orientation) blend = grid_->blend(point.acquisition_from_object);
+  // Neighbouring hits mostly want the same vectors: ask the last ones before the table.
+  const LightWeights* last = out.weights.empty() ? nullptr : &out.weights.back();
+  for (int i = 0; i < 4; ++i) {
+    if (!(blend.share[i] > 0)) continue;
+    const SharedKey key{list, blend.corner[i]};
+    w.share[i] = blend.share[i];
+    bool found = false;
+    for (int j = 0; last && j < 4 && !found; ++j)
+      if (last->share[j] > 0 && out.wanted[last->shared[j]] == key) {
+        w.shared[i] = last->shared[j];
+        found = true;
+      }
+    if (found) continue;
+    const auto [entry, added] = out.known.try_emplace(key, static_cast<std::uint32_t>(out.wanted.size()));
+    if (added) out.wanted.push_back(key);
+    w.shared[i] = entry->second;
+  }
+}
+
+std::uint32_t FrameLighting::gather(std::uint32_t list_index, const LitPoint& point, LightGather& out) const {
+  const AcquiredLights& list = lists_[list_index];
+  LightWeights w;
+  w.first_entry = static_cast<std::uint32_t>(out.entries.size());
+  const auto add = [&](std::uint32_t light, const Vec3& weight) {
+    out.entries.push_back(
+        {light, {static_cast<float>(weight.x), static_cast<float>(weight.y), static_cast<float>(weight.z)}});
+  };
+  if (shares(list_index)) {
+    noteShared(list_index, point, out, w);
+  } else {
+    for (const DistantLight& light : lights_.distant)
+      standIn(list, point.acquisition_from_object * light.direction, light.irradiance, point.p, out.scratch,
+              out.nearest, add);
+  }
+  for (const NearLight& light : lights_.near_lights) {  // Eq. 11: A(|p* - p_l|) I_l
+    const Vector<ObjectSpace> to_light = light.position - point.p_star;
+    const double d = std::max(length(to_light), options_.min_distance);
+    const Direction<ObjectSpace> direction = normalize(to_light).value_or(point.normal);
+    standIn(list, point.acquisition_from_object * direction, light.intensity / (d * d), point.p, out.scratch,
+            out.nearest, add);
+  }
+  for (const RestLight& light : lights_.rest)
+    if (const auto at = list.find(light.light)) add(*at, Vec3{light.scale, light.scale, light.scale});
+
+  w.entries = static_cast<std::uint32_t>(out.entries.size()) - w.first_entry;
+  if (w.entries > static_cast<std::uint32_t>(list.count())) {  // a vector is smaller, and faster to multiply with
+    const int pad = lightPad(list.count());
+    w.own = static_cast<std::uint32_t>(out.own.size());
+    out.own.resize(out.own.size() + 3 * static_cast<std::size_t>(pad), 0.f);
+    for (std::size_t e = w.first_entry; e < out.entries.size(); ++e)
+      for (int c = 0; c < 3; ++c) out.own[w.own + c * pad + out.entries[e].light] += out.entries[e].weight[c];
+    out.entries.resize(w.first_entry);
+    w.entries = 0;
+  }
+  out.weights.push_back(w);
+  return static_cast<std::uint32_t>(out.weights.size() - 1);
+}
+
+void FrameLighting::computeShared(const SharedKey& key, float* vector) const {
+  const AcquiredLights& list = lists_[key.list];
+  const int pad = lightPad(list.count());
+  std::fill_n(vector, 3 * pad, 0.f);
+  const Orthogonal<AcquisitionSpace, ObjectSpace> acquisition_from_object =
+      key.corner == kOnlyOrientation ? *options_.only_orientation : grid_->orientation(key.corner);
+  std::vector<Penalised> scratch;
+  std::vector<Weighted> nearest;
+  for (const DistantLight& light : lights_.distant)
+    standIn(list, acquisition_from_object * light.direction, light.irradiance, Point<AcquisitionSpace>(), scratch,
+            nearest, [&](std::uint32_t i, const Vec3& weight) {
+              for (int c = 0; c < 3; ++c) vector[c * pad + i] += static_cast<float>(weight[c]);
+            });
+}
+
+void SharedLightVectors::prepare(const FrameLighting& lighting) {
+  if (lighting.sharesLike(distant_, only_orientation_)) return;
+  clear();
+  distant_ = lighting.lights().distant;
+  only_orientation_ = lighting.options().only_orientation;
+}
+
+void SharedLightVectors::clear() {
+  vectors_.clear();
+  pending_.clear();
+  bytes_ = 0;
+}
+
+void SharedLightVectors::want(std::span<const SharedKey> keys, const FrameLighting& lighting) {
+  for (const SharedKey& key : keys) {
+    const auto [entry, added] = vectors_.try_emplace(key);
+    if (!added) continue;
+    const std::size_t floats = 3 * static_cast<std::size_t>(lightPad(lighting.lists()[key.list].count()));
+    entry->second = std::make_unique_for_overwrite<float[]>(floats);
+    bytes_ += floats * sizeof(float) + 96;  // and the table's node
+    pending_.emplace_back(key, entry->second.get());
+  }
+}
+
+void SharedLightVectors::compute(const FrameLighting& lighting) {
+  parallelFor(pending_.size(), 4, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) lighting.computeShared(pending_[i].first, pending_[i].second);
+  });
+  computed_ += pending_.size();
+  pending_.clear();
+}
+
+void SharedLightVectors::resolve(LightGather& gather) const {
+  gather.vectors.clear();
+  for (const SharedKey& key : gather.wanted) gather.vectors.push_back(vectors_.find(key)->second.get());
+}
+
+}  // namespace srf

@@ -1,0 +1,145 @@
+// The lights of a frame as one weight for each acquired light (M13 to M15): what a point needs of its lighting, merged
+// over all the scene's lights before any reflectance is touched. The product with the reflectance is a separate step
+// (deferred_shading.h).
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <unordered_map>
+#include <vector>
+
+#include "base/transform.h"
+#include "render/acquired_lights.h"
+#include "render/light_set.h"
+#include "render/orientation_grid.h"
+#include "render/reflectance_dot.h"
+
+namespace srf {
+
+/// A vector of light weights as reflectanceDot takes it: float[3][pad] for a list of `count` lights.
+constexpr int lightPad(int count) {
+  return (count + 15) / 16 * 16;
+}
+
+/// Names a vector that many hits share: the distant lights seen through one orientation of L by one list of lights.
+struct SharedKey {
+  std::uint32_t list = 0;
+  std::uint64_t corner = 0;
+  friend bool operator==(const SharedKey&, const SharedKey&) = default;
+};
+struct SharedKeyHash {
+  std::size_t operator()(const SharedKey& key) const {
+    return (key.corner * 0x9e3779b97f4a7c15u ^ key.list) * 0xff51afd7ed558ccdu;
+  }
+};
+
+struct LightEntry {
+  std::uint32_t light;  ///< position in the list
+  Rgb weight;
+};
+
+/// The weights of one list of lights at one hit: a blend of shared vectors, plus a vector of its own or a few entries.
+struct LightWeights {
+  static constexpr std::uint32_t kNone = 0xffffffffu;
+  std::array<std::uint32_t, 4> shared{};  ///< positions in LightGather::wanted
+  std::array<float, 4> share{};           ///< 0: unused
+  std::uint32_t own = kNone;              ///< start in LightGather::own
+  std::uint32_t first_entry = 0, entries = 0;
+};
+
+/// Light weights gathered for one block of pixels.
+struct LightGather {
+  std::vector<LightWeights> weights;
+  std::vector<LightEntry> entries;
+  std::vector<float> own;
+  std::vector<SharedKey> wanted;      ///< each once
+  std::vector<const float*> vectors;  ///< of `wanted`, once SharedLightVectors has them
+  std::unordered_map<SharedKey, std::uint32_t, SharedKeyHash> known;
+  std::vector<Penalised> scratch;
+  std::vector<Weighted> nearest;
+
+  /// The weights as one vector of 3 * pad floats: a shared or own one, or `scratch_vector` where they had to be added
+  /// up.
+  const float* vector(const LightWeights& weights, int pad, float* scratch_vector) const;
+  std::size_t bytes() const;
+};
+
+/// What the lights need to know of a hit.
+struct LitPoint {
+  Point<AcquisitionSpace> p;
+  Point<ObjectSpace> p_star;
+  Orthogonal<AcquisitionSpace, ObjectSpace> acquisition_from_object;  ///< L
+  Direction<ObjectSpace> normal;
+};
+
+/// The lights of one frame against the lists of acquired lights.
+class FrameLighting {
+ public:
+  struct Options {
+    double sharing = 0;       ///< degrees (Accuracy::light_sharing)
+    double min_distance = 0;  ///< units: least distance of a point light in A(d)
+    /// L of every hit where the frame has one L alone: then one exact vector serves all, whatever `sharing` says.
+    std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> only_orientation;
+  };
+  /// Lights and lists must outlive it.
+  FrameLighting(const FrameLights& lights, std::span<const AcquiredLights> lists, const Options& options);
+
+  /// Whether views of the list can show the frame's lights: they hold every captured light asked for, and lights of
+  /// known direction where there are others.
+  bool serves(std::size_t list) const { return serves_[list]; }
+  /// Appends the weights of a list at a hit and returns their handle. What depends on the hit alone is computed here;
+  /// of the shared vectors only the keys are noted.
+  std::uint32_t gather(std::uint32_t list, const LitPoint& point, LightGather& out) const;
+  /// Computes a shared vector: 3 * pad floats, exact for the corner's orientation.
+  void computeShared(const SharedKey& key, float* vector) const;
+  /// Whether shared vectors of `other` hold for this frame too.
+  bool sharesLike(const std::vector<DistantLight>& distant,
+                  const std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>>& only_orientation) const;
+
+  const FrameLights& lights() const { return lights_; }
+  const Options& options() const { return options_; }
+  std::span<const AcquiredLights> lists() const { return lists_; }
+
+ private:
+  bool shares(std::uint32_t list) const;
+  /// Calls add(light, weight) for the lights of the list that stand for light of `irradiance` from `direction` at p.
+  template <class Add>
+  void standIn(const AcquiredLights& list, const Direction<AcquisitionSpace>& direction, const Vec3& irradiance,
+               const Point<AcquisitionSpace>& p, std::vector<Penalised>& scratch, std::vector<Weighted>& nearest,
+               const Add& add) const;
+  void noteShared(std::uint32_t list, const LitPoint& point, LightGather& out, LightWeights& weights) const;
+
+  const FrameLights& lights_;
+  std::span<const AcquiredLights> lists_;
+  Options options_;
+  std::optional<OrientationGrid> grid_;
+  std::vector<bool> serves_;
+};
+
+/// Shared vectors, kept from batch to batch and from frame to frame while the distant lights stay the same.
+class SharedLightVectors {
+ public:
+  /// Forgets vectors that do not hold for the frame.
+  void prepare(const FrameLighting& lighting);
+  void clear();
+  /// Notes the keys that are not held yet.
+  void want(std::span<const SharedKey> keys, const FrameLighting& lighting);
+  /// Computes what is noted, in parallel.
+  void compute(const FrameLighting& lighting);
+  void resolve(LightGather& gather) const;
+  std::size_t bytes() const { return bytes_; }
+  std::uint64_t computed() const { return computed_; }
+
+ private:
+  std::unordered_map<SharedKey, std::unique_ptr<float[]>, SharedKeyHash> vectors_;
+  std::vector<std::pair<SharedKey, float*>> pending_;
+  std::vector<DistantLight> distant_;
+  std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> only_orientation_;
+  std::size_t bytes_ = 0;
+  std::uint64_t computed_ = 0;
+};
+
+}  // namespace srf

@@ -1,0 +1,25 @@
+// The product of reflectance and light weights: the inner loop of the renderer.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "render/shading_operation.h"
+
+namespace srf {
+
+using Rgb = std::array<float, 3>;
+
+/// sum over taps t and lights j of tap_t * block[y_t][x_t][c][j] * weights[c][j], for each channel c.
+/// `block`: half[16][16][3][light_pad] of finite values; `weights`: float[3][light_pad]; light_pad a multiple of 16.
+/// Error: at most (light_pad / 8 + 10) 2^-24 of the sum of the terms' absolute values.
+Rgb reflectanceDot(const std::uint16_t* block, int light_pad, const ShadingOperation& operation, const float* weights);
+
+/// The same, one term after the other in double: the oracle.
+std::array<double, 3> reflectanceDotReference(const std::uint16_t* block, int light_pad,
+                                              const ShadingOperation& operation, const float* weights);
+
+/// sum[i] += share * vector[i] for i < count, a multiple of 16.
+void addScaled(float* sum, float share, const float* vector, int count);
+
+}  // namespace srf

@@ -1,0 +1,82 @@
+// Which photographs a hit is made from, and where in them it lies (M12).
+#pragma once
+
+#include <limits>
+#include <span>
+#include <vector>
+
+#include "base/camera.h"
+#include "base/image.h"
+#include "field/reflectance_store.h"
+#include "model/deformable_model.h"
+#include "render/lumigraph_weights.h"
+
+namespace srf {
+
+/// A captured view as rendering sees it.
+struct SourceView {
+  Camera<AcquisitionSpace> camera;
+  StoreGeometry geometry;
+  const Image8* coverage =
+      nullptr;                   ///< of the stored rectangle; none: the view holds no reflectance and is never chosen
+  bool black_background = true;  ///< pixels are premultiplied by coverage
+};
+
+/// A mask-aware bilinear fetch (doc: formats, images): the 2 x 2 texels about a pixel and what each counts.
+struct Fetch {
+  int x = 0, y = 0;    ///< of the first texel in the stored rectangle; may be -1
+  float tap[4] = {};   ///< bilinear weight / coverage, over the usable texels: (x,y), (x+1,y), (x,y+1), (x+1,y+1)
+  double covered = 0;  ///< share of the bilinear weight that falls on usable texels; 0: nothing can be fetched
+};
+Fetch bilinearFetch(const SourceView& view, const Vec2& pixel);
+
+/// A desired ray in acquisition space.
+struct ViewQuery {
+  Point<AcquisitionSpace> p;
+  Direction<AcquisitionSpace> view;                               ///< v
+  Direction<AcquisitionSpace> normal;                             ///< n0
+  double eye_distance = std::numeric_limits<double>::infinity();  ///< |e* - p*| = |p - d|; infinite: orthographic
+  std::span<const std::uint32_t> points;                          ///< the model points that the hit blends
+  std::span<const float> point_weights;                           ///< sum 1
+};
+
+struct ChosenView {
+  std::uint32_t view = 0;
+  double weight = 0;
+  double angle = 0;  ///< radians between v and the view's direction at p
+  Fetch fetch;
+};
+
+class ViewSelection {
+ public:
+  /// `visible`: of the model's points; must outlive this. `k`: the most views of a hit (more where penalties tie).
+  ViewSelection(std::vector<SourceView> views, const VisibilityBits& visible, int k);
+
+  enum class Result {
+    seen,      ///< from views that see p
+    not_seen,  ///< no view sees p: the nearest by angle whose picture covers it stands in
+    none       ///< no picture covers p
+  };
+  struct Scratch {
+    std::vector<double> bound, distance;
+    std::vector<Penalised> open, penalised;
+    std::vector<Weighted> weights;
+    std::vector<ChosenView> tried;
+    std::vector<std::uint64_t> seen;
+  };
+  /// The views of a hit with weights that sum to 1, heaviest first. `allowed[i]`: view i may be used.
+  Result select(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& scratch,
+                std::vector<ChosenView>& chosen) const;
+
+  const std::vector<SourceView>& views() const { return views_; }
+
+ private:
+  double usable(const ViewQuery& query, std::uint32_t view, ChosenView& tried) const;
+
+  std::vector<SourceView> views_;
+  const VisibilityBits& visible_;
+  int k_;
+  std::vector<double> x_, y_, z_, perspective_;  ///< centres; of orthographic views their direction, and 0
+};
+
+}  // namespace srf
