@@ -72,7 +72,8 @@ int main(int argc, char** argv) {
     bench::Series times;
     std::size_t triangles = 0;
     for (int i = 0; i < repeats; ++i)
-      times.add(bench::milliseconds([&] { triangles = carveVisualHull(views, options, reporter).mesh.triangles.size(); }));
+      times.add(
+          bench::milliseconds([&] { triangles = carveVisualHull(views, options, reporter).mesh.triangles.size(); }));
     std::printf("| hull of %d masks of %d x %d at %d cells, %zu triangles | %s ms |\n", count, size, size, resolution,
                 triangles, bench::shown(times).c_str());
   });

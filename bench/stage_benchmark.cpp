@@ -23,8 +23,8 @@ class BareEmbree {
              const Camera<ObjectSpace>& camera)
       : device_(rtcNewDevice(nullptr)), scene_(rtcNewScene(device_)) {
     RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
-    auto* xyz = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12,
-                                                            positions.size()));
+    auto* xyz = static_cast<float*>(
+        rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, positions.size()));
     for (const auto& p : positions)
       for (int k = 0; k < 3; ++k) *xyz++ = static_cast<float>(p.raw()[k]);
     auto* index = static_cast<Triangle*>(
@@ -170,7 +170,8 @@ int main(int argc, char** argv) {
       }
       const std::size_t taps = static_cast<std::size_t>(4 * taken("operations"));
       dot.add(bench::milliseconds([&] {
-        parallelFor(taps, 1 << 14, [&](std::size_t a, std::size_t b) { sink = bareDot(texels, lights, a, b, weights); });
+        parallelFor(taps, 1 << 14,
+                    [&](std::size_t a, std::size_t b) { sink = bareDot(texels, lights, a, b, weights); });
       }));
       std::vector<std::uint64_t> partial(64);
       read.add(bench::milliseconds([&] {
@@ -185,10 +186,11 @@ int main(int argc, char** argv) {
       }));
     }
     const auto camera = scene.cameraAt(frame_at(0));
-    std::printf("%s, %d threads; %d x %d pixels, %zu model points, %zu triangles, %zu views, %zu lights, %.0f hits and "
-                "%.0f operations a frame; %d frames after a warm-up; milliseconds as median (least .. most).\n\n",
-                bench::processorName().c_str(), threadCount(), camera.lens.width, camera.lens.height, model.size(),
-                model.triangles.size(), manifest.views.size(), manifest.lights.size(), hits, operations, repeats);
+    std::printf(
+        "%s, %d threads; %d x %d pixels, %zu model points, %zu triangles, %zu views, %zu lights, %.0f hits and "
+        "%.0f operations a frame; %d frames after a warm-up; milliseconds as median (least .. most).\n\n",
+        bench::processorName().c_str(), threadCount(), camera.lens.width, camera.lens.height, model.size(),
+        model.triangles.size(), manifest.views.size(), manifest.lights.size(), hits, operations, repeats);
     std::printf("| stage | ms | limit on this machine, same run | ratio |\n|---|---|---|---|\n");
     for (const auto& [name, series] : stages) {
       std::string limit = "", ratio = "";

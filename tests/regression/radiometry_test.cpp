@@ -67,7 +67,9 @@ void forInside(const Frame& frame, const Check& check) {
 
 TEST(Radiometry, ConstantFieldStaysConstantUnderEveryDeformation) {
   const test::TemporaryFolder folder;
-  const auto field = test::makeSphereField(folder / "x.srf", {}, [](auto&, auto&, auto&) { return Vec3{0.25, 0.5, 1}; });
+  const auto field = test::makeSphereField(folder / "x.srf", {}, [](auto&, auto&, auto&) {
+    return Vec3{0.25, 0.5, 1};
+  });
   FrameLights lights;
   lights.distant = {sun({1, 2, 3}, {1, 1, 1}), sun({-1, 0.2, 0.5}, {2, 2, 2})};
   for (const char* const text : kWarps) {
@@ -117,12 +119,15 @@ TEST(Radiometry, CapturedViewAndLightAreReproduced) {
       const auto& captured = field.manifest.views[view].camera;
       Camera<ObjectSpace> camera;
       camera.lens = captured.lens;
-      camera.pose = Rigid<ObjectSpace, CameraSpace>(
-          Orthogonal<ObjectSpace, CameraSpace>(captured.pose.rotation().raw()), Point<ObjectSpace>(captured.center().raw()));
+      camera.pose =
+          Rigid<ObjectSpace, CameraSpace>(Orthogonal<ObjectSpace, CameraSpace>(captured.pose.rotation().raw()),
+                                          Point<ObjectSpace>(captured.center().raw()));
       const CaptureLight& light = field.manifest.lights[7];
       FrameLights lights;
-      if (near) lights.near_lights = {{Point<ObjectSpace>(light.position.raw()), light.strength}};
-      else lights.distant = {sun(light.direction.raw(), light.strength)};
+      if (near)
+        lights.near_lights = {{Point<ObjectSpace>(light.position.raw()), light.strength}};
+      else
+        lights.distant = {sun(light.direction.raw(), light.strength)};
       const Frame frame = renderOnce(field, {}, camera, lights);
       double error = 0, peak = 0, count = 0;
       forInside(frame, [&](int x, int y) {
@@ -186,9 +191,9 @@ TEST(Radiometry, RigidMotionOfEverythingChangesNothingAndOfTheModelEqualsItsInve
 
   const auto rest_camera = cameraFrom({3, -4, 1});
   Camera<ObjectSpace> moved_camera = rest_camera;
-  moved_camera.pose = Rigid<ObjectSpace, CameraSpace>(
-      Orthogonal<ObjectSpace, CameraSpace>(turn * rest_camera.pose.rotation().raw()),
-      Point<ObjectSpace>(turn * rest_camera.center().raw() + shift));
+  moved_camera.pose =
+      Rigid<ObjectSpace, CameraSpace>(Orthogonal<ObjectSpace, CameraSpace>(turn * rest_camera.pose.rotation().raw()),
+                                      Point<ObjectSpace>(turn * rest_camera.center().raw() + shift));
   FrameLights rest_lights, moved_lights;
   rest_lights.distant = {sun({1, -1, 1})};
   rest_lights.near_lights = {{Point<ObjectSpace>(2, -2, 1), {2, 3, 4}}};

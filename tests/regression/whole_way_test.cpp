@@ -1,5 +1,5 @@
-// From photographs to frames, against truth that this program did not make: a capture rendered by an independent program
-// with 21 scenes, and real photographs whose silhouettes the hull must fill.
+// From photographs to frames, against truth that this program did not make: a capture rendered by an independent
+// program with 21 scenes, and real photographs whose silhouettes the hull must fill.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -22,10 +22,11 @@ namespace fs = std::filesystem;
 
 // The plain method's PSNR (dB) on the true mesh, measured with an independent implementation (the capture's SOURCE.md).
 const std::map<std::string, double> kPlainFigures{
-    {"a_recon", 40.02}, {"b_view0", 30.85},      {"b_view1", 30.67}, {"c0_light", 32.35},    {"c_backlight", 26.07},
-    {"c_viewlight0", 30.14}, {"c_viewlight1", 30.32}, {"d_point", 32.89}, {"e_lamps", 29.98}, {"e_sky", 30.29},
-    {"f_bend", 27.73},  {"f_ffd", 25.99},        {"f_mirror", 26.03}, {"f_rigid", 27.79},    {"f_squash", 27.38},
-    {"f_taper", 28.10}, {"f_twist", 25.34},      {"f_twist_strong", 26.34}, {"f_wave", 27.73}, {"g_anim", 30.19},
+    {"a_recon", 40.02},     {"b_view0", 30.85},        {"b_view1", 30.67},      {"c0_light", 32.35},
+    {"c_backlight", 26.07}, {"c_viewlight0", 30.14},   {"c_viewlight1", 30.32}, {"d_point", 32.89},
+    {"e_lamps", 29.98},     {"e_sky", 30.29},          {"f_bend", 27.73},       {"f_ffd", 25.99},
+    {"f_mirror", 26.03},    {"f_rigid", 27.79},        {"f_squash", 27.38},     {"f_taper", 28.10},
+    {"f_twist", 25.34},     {"f_twist_strong", 26.34}, {"f_wave", 27.73},       {"g_anim", 30.19},
     {"h_twist_sky", 32.44}};
 
 ImageF rgbOf(const fs::path& file) {
@@ -94,7 +95,8 @@ class Capsule : public testing::Test {
     options.kind = kind;
     makeModel(*folder_ / "capsule.srf", shape, options, Reporter::silent());
     const auto psnr = renderCases(*test::sharedData("capsule") / "cases", *folder_ / "capsule.srf", folder_->path());
-    for (const auto& [name, value] : psnr) std::printf("%-16s %6.2f dB  %+.2f\n", name.c_str(), value, value - kPlainFigures.at(name));
+    for (const auto& [name, value] : psnr)
+      std::printf("%-16s %6.2f dB  %+.2f\n", name.c_str(), value, value - kPlainFigures.at(name));
     return psnr;
   }
 
@@ -139,7 +141,8 @@ TEST_F(Capsule, LookUpAgreesWithTheIndependentProgramsDirections) {
           errors[key].push_back(degrees(angleBetweenUnit(mine / length(mine), at(key) / length(at(key)))));
         };
         const LookUp bisector = lookUp(hits[x], FrameMode::bisector), polar = lookUp(hits[x], FrameMode::polar);
-        const auto v_star = Direction<ObjectSpace>::fromUnit(at("v_star")), l_star = Direction<ObjectSpace>::fromUnit(at("l_star"));
+        const auto v_star = Direction<ObjectSpace>::fromUnit(at("v_star")),
+                   l_star = Direction<ObjectSpace>::fromUnit(at("l_star"));
         error("v", (bisector.acquisition_from_object * v_star).raw());
         error("l", (bisector.acquisition_from_object * l_star).raw());
         error("v_polar", (polar.acquisition_from_object * v_star).raw());
@@ -177,15 +180,16 @@ void realCapture(const fs::path& photographs, double least_iou) {
   const auto triple = [](const Vec3& v) {
     return "[" + std::to_string(v.x) + "," + std::to_string(v.y) + "," + std::to_string(v.z) + "]";
   };
-  writeTextFile(folder / "scene.json",
-                R"({"camera":{"w":160,"h":120,"vfov":30,"look_at":{"eye":)" + triple(c + Vec3{0, 0, -2.2 * size}) +
-                    R"(,"target":)" + triple(c) + R"(,"up":[0,1,0]}},"deformation":[{"type":"twist","origin":)" +
-                    triple(c) + R"(,"axis":[0,1,0],"degrees_per_unit":)" + std::to_string(60 / size) +
-                    R"(}],"lights":[{"type":"captured"}]})");
+  writeTextFile(folder / "scene.json", R"({"camera":{"w":160,"h":120,"vfov":30,"look_at":{"eye":)" +
+                                           triple(c + Vec3{0, 0, -2.2 * size}) + R"(,"target":)" + triple(c) +
+                                           R"(,"up":[0,1,0]}},"deformation":[{"type":"twist","origin":)" + triple(c) +
+                                           R"(,"axis":[0,1,0],"degrees_per_unit":)" + std::to_string(60 / size) +
+                                           R"(}],"lights":[{"type":"captured"}]})");
   AnimationOptions animation;
   animation.srf = folder / "x.srf";
   animation.output = (folder / "f.####.exr").string();
-  const auto frames = renderAnimation(readScene(folder / "scene.json", {}, Reporter::silent()), animation, Reporter::silent());
+  const auto frames =
+      renderAnimation(readScene(folder / "scene.json", {}, Reporter::silent()), animation, Reporter::silent());
   ASSERT_EQ(frames.size(), 1u);
   const LoadedImage image = readImage(frames[0].file);
   double covered = 0, bright = 0;

@@ -93,7 +93,8 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
       }
     view.file = "views/" + view.name + ".blk";
     ReflectanceStoreWriter writer(srf_folder / view.file, geometry, coverage);
-    for (int t = 0; t < geometry.tileCount(); ++t) writer.writeTile(t % geometry.tiles_x, t / geometry.tiles_x, tiles[t]);
+    for (int t = 0; t < geometry.tileCount(); ++t)
+      writer.writeTile(t % geometry.tiles_x, t / geometry.tiles_x, tiles[t]);
     view.hash = writer.commit();
     manifest.views.push_back(view);
   }

@@ -18,7 +18,7 @@ struct FormulaFieldOptions {
   int size = 64;                ///< pixels a side
   int subdivision = 5;          ///< of an octahedron: 8 * 4^n triangles
   double view_distance = 4;
-  bool near_lights = false;     ///< point lights at distance 3 instead of directional ones
+  bool near_lights = false;  ///< point lights at distance 3 instead of directional ones
 };
 
 struct FormulaField {

@@ -47,7 +47,8 @@ std::map<std::string, std::vector<float>> readNpz(const std::filesystem::path& f
     const auto local = get<std::uint32_t>(bytes, at + 42);
     const std::string name(reinterpret_cast<const char*>(bytes.data()) + at + 46, name_length);
     at += 46u + name_length + extra + comment;
-    const std::size_t data = local + 30u + get<std::uint16_t>(bytes, local + 26) + get<std::uint16_t>(bytes, local + 28);
+    const std::size_t data =
+        local + 30u + get<std::uint16_t>(bytes, local + 26) + get<std::uint16_t>(bytes, local + 28);
     const std::vector<char> npy = inflateRaw(bytes.data() + data, packed, size);
     const std::size_t header = 10u + static_cast<unsigned char>(npy[8]) + 256u * static_cast<unsigned char>(npy[9]);
     const std::string description(npy.data() + 10, header - 10);

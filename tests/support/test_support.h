@@ -27,7 +27,7 @@ std::optional<std::filesystem::path> sharedData(const std::string& name);
 }  // namespace srf::test
 
 /// Ends the test as skipped where the shared data is absent.
-#define SRF_REQUIRE_DATA(variable, name)                                   \
-  const auto variable##_found = srf::test::sharedData(name);               \
+#define SRF_REQUIRE_DATA(variable, name)                                  \
+  const auto variable##_found = srf::test::sharedData(name);              \
   if (!variable##_found) GTEST_SKIP() << "skipped: no shared data " name; \
   const std::filesystem::path variable = *variable##_found

@@ -1,0 +1,137 @@
+// How well a real one-light capture predicts photographs it was not given: every n-th view is left out, the rest goes
+// the whole way, and each left-out view is rendered and compared with its photograph inside its silhouette; beside it,
+// on the same hull, the nearest visible photograph alone and the plain average of the four nearest. Prints rows of
+// Markdown.
+#include <unistd.h>
+
+#include <cstdio>
+
+#include "acquire/acquire_field.h"
+#include "acquire/camera_import.h"
+#include "apps/make_model.h"
+#include "apps/program.h"
+#include "base/image_metrics.h"
+#include "base/numeric.h"
+#include "render/frame_renderer.h"
+
+namespace srf {
+namespace {
+
+ImageF photograph(const Capture& capture, std::size_t view) {
+  return readImage(capture.views[view].photos.at(0).file, capture.integer_transfer).pixels;
+}
+
+Vec3 bilinear(const ImageF& image, const Vec2& pixel) {
+  const double x = std::clamp(pixel.x - 0.5, 0.0, image.width() - 1.001),
+               y = std::clamp(pixel.y - 0.5, 0.0, image.height() - 1.001);
+  const int ix = static_cast<int>(x), iy = static_cast<int>(y);
+  Vec3 value;
+  for (int c = 0; c < 3; ++c)
+    value[c] = lerp(lerp(image.at(ix, iy, c), image.at(ix + 1, iy, c), x - ix),
+                    lerp(image.at(ix, iy + 1, c), image.at(ix + 1, iy + 1, c), x - ix), y - iy);
+  return value;
+}
+
+// The mean of the `most` nearest photographs that see each hit, by angle alone.
+ImageF averageOfNearest(const SrfManifest& field, const DeformedModel& deformed, const std::vector<ImageF>& photographs,
+                        const Camera<ObjectSpace>& camera, std::size_t most) {
+  ImageF image(camera.lens.width, camera.lens.height, 3);
+  for (int y = 0; y < camera.lens.height; ++y) {
+    std::vector<Ray<ObjectSpace>> rays;
+    for (int x = 0; x < camera.lens.width; ++x) rays.push_back(*camera.ray({x + 0.5, y + 0.5}));
+    std::vector<SurfaceHit> hits(rays.size());
+    deformed.intersect(rays, hits);
+    for (int x = 0; x < camera.lens.width; ++x) {
+      const SurfaceHit& hit = hits[x];
+      if (hit.count == 0) continue;
+      std::vector<std::pair<double, std::size_t>> nearest;
+      for (std::size_t i = 0; i < field.views.size(); ++i)
+        if (deformed.model().visible.get(hit.point[0], i))
+          nearest.emplace_back(
+              angleBetweenUnit(field.views[i].camera.viewDirection(hit.p0).raw(), -rays[x].direction.raw()), i);
+      std::sort(nearest.begin(), nearest.end());
+      if (nearest.size() > most) nearest.resize(most);
+      Vec3 sum;
+      for (const auto& [angle, i] : nearest)
+        sum += bilinear(photographs[i], field.views[i].camera.project(hit.p0)->pixel) /
+               static_cast<double>(nearest.size());
+      for (int c = 0; c < 3; ++c) image.at(x, y, c) = static_cast<float>(sum[c]);
+    }
+  }
+  return image;
+}
+
+}  // namespace
+}  // namespace srf
+
+int main(int argc, char** argv) {
+  using namespace srf;
+  Program program("holdout-benchmark", "predicts left-out views of a one-light capture",
+                  "GPL-3.0-or-later (links CGAL)");
+  std::string folder;
+  int every = 4;
+  program.app().add_option("CAPTURE", folder, "a capture of one unknown illumination")->required();
+  program.app().add_option("--every", every, "every n-th view is left out")->check(CLI::Range(2, 1000));
+  return program.run(argc, argv, [&](Reporter& reporter) {
+    const Capture all = openCapture(folder, reporter);
+    Capture kept = all;
+    kept.views.clear();
+    std::vector<std::size_t> held_out;
+    std::vector<ImageF> photographs;
+    for (std::size_t i = 0; i < all.views.size(); ++i) {
+      if (i % every == static_cast<std::size_t>(every) - 1) {
+        held_out.push_back(i);
+      } else {
+        kept.views.push_back(all.views[i]);
+        photographs.push_back(photograph(all, i));
+      }
+    }
+    const auto work = std::filesystem::temp_directory_path() / ("srf-holdout-" + std::to_string(::getpid()));
+    const auto srf_folder = work / "x.srf";
+    AcquireOptions options;
+    options.memory_bytes = program.memoryBudget();
+    acquireField(kept, srf_folder, options, reporter);
+    makeModel(srf_folder, "hull", {}, reporter);
+    const SrfManifest field = readManifest(srf_folder);
+    const DeformableModel model = loadModel(srf_folder, field);
+    DeformedModel deformed(model);
+    deformed.deform({});
+    FrameSettings settings;
+    settings.memory_bytes = program.memoryBudget();
+    FrameRenderer renderer(srf_folder, field, model, settings, reporter);
+    FrameLights lights;
+    lights.rest = {{LightId{0}, 1.0}};
+
+    double sums[3] = {}, flips[3] = {};
+    std::printf("| view | interpolated, dB / FLIP | nearest photograph | average of four |\n|---|---|---|---|\n");
+    for (const std::size_t view : held_out) {
+      Camera<ObjectSpace> camera;
+      camera.lens = all.views[view].camera.lens;
+      camera.pose = Rigid<ObjectSpace, CameraSpace>(
+          Orthogonal<ObjectSpace, CameraSpace>(all.views[view].camera.pose.rotation().raw()),
+          Point<ObjectSpace>(all.views[view].camera.center().raw()));
+      const Frame frame = renderer.render(camera, deformed, lights);
+      const Image8 silhouette_mask = silhouette(all, ViewId{static_cast<std::uint32_t>(view)}, {}, reporter);
+      ImageF mask(camera.lens.width, camera.lens.height, 1), rendered(camera.lens.width, camera.lens.height, 3);
+      for (int y = 0; y < mask.height(); ++y)
+        for (int x = 0; x < mask.width(); ++x) {
+          mask.at(x, y) = silhouette_mask.at(x, y) == 255 ? 1.f : 0.f;
+          for (int c = 0; c < 3; ++c) rendered.at(x, y, c) = frame.rgba.at(x, y, c);
+        }
+      const ImageF truth = photograph(all, view);
+      const ImageF images[3] = {rendered, averageOfNearest(field, deformed, photographs, camera, 1),
+                                averageOfNearest(field, deformed, photographs, camera, 4)};
+      std::printf("| %s ", all.views[view].name.c_str());
+      for (int i = 0; i < 3; ++i) {
+        const MetricFigures figures = compareImages(images[i], truth, mask).inside;
+        sums[i] += figures.psnr / static_cast<double>(held_out.size());
+        flips[i] += figures.flip / static_cast<double>(held_out.size());
+        std::printf("| %.2f / %.3f ", figures.psnr, figures.flip);
+      }
+      std::printf("|\n");
+    }
+    std::printf("| mean | **%.2f / %.3f** | %.2f / %.3f | %.2f / %.3f |\n", sums[0], flips[0], sums[1], flips[1],
+                sums[2], flips[2]);
+    std::filesystem::remove_all(work);
+  });
+}
