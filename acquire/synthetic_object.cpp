@@ -21,8 +21,8 @@ constexpr double kGrazing = 1e-3;  // least n.v: at silhouettes a sampled point 
 constexpr double kPlasticAlpha = 0.15, kPlasticF0 = 0.04;
 constexpr double kBrushAlong = 0.1, kBrushAcross = 0.4;
 constexpr Vec3 kCopperF0{0.95, 0.64, 0.54};
-constexpr double kVelvetWidth = 0.45;
-constexpr Vec3 kVelvetTint{0.75, 0.12, 0.22};
+constexpr double kVelvetWidth = 0.5;
+constexpr Vec3 kVelvetTint{0.9, 0.16, 0.3};
 
 // Plain square root: these lengths are near 1, and std::hypot costs more than the rest of the formula.
 double norm(const Vec3& a) {
@@ -132,11 +132,11 @@ AcquisitionMesh torusMesh(int n) {
   return mesh;
 }
 
-// Smooth colours and a soft checker. Nothing changes within less than 0.1 units, some 4 pixels of a usual capture, so
+// Smooth colours and a soft checker. Nothing changes within less than 0.06 units, some 3 pixels of a usual capture, so
 // that photographs of it are not aliased.
 Vec3 textureColor(const Vec3& p) {
   const double s = std::sin(5.5 * p.x + 0.8) * std::sin(5.5 * p.y + 1.9) * std::sin(5.5 * p.z + 0.5);
-  const double check = 0.5 + 0.5 * s / std::sqrt(s * s + 0.06);
+  const double check = 0.5 + 0.5 * s / std::sqrt(s * s + 0.03);
   const double w1 = 0.5 + 0.5 * std::sin(3.1 * p.x + 2.3 * p.z), w2 = 0.5 + 0.5 * std::sin(4.2 * p.y - 1.7 * p.x + 1);
   const double w3 = 0.5 + 0.5 * std::sin(3.7 * p.z + 2.9 * p.y + 2);
   const Vec3 warm{0.80, 0.34 + 0.30 * w1, 0.12 + 0.14 * w2}, cold{0.06 + 0.16 * w3, 0.22 + 0.20 * w2, 0.45 + 0.30 * w1};
@@ -275,7 +275,7 @@ Vec3 SyntheticObject::brdf(const ShadingPoint& point, const Direction<Acquisitio
     case SyntheticMaterial::conductor:
       return ggx(d, kBrushAlong, kBrushAcross) * (kCopperF0 + grazing * (Vec3{1, 1, 1} - kCopperF0));
     default:  // velvet
-      return 0.2 * matt + velvetLobe(d) * kVelvetTint;
+      return 0.3 * matt + velvetLobe(d) * kVelvetTint;
   }
 }
 
