@@ -1,1 +1,378 @@
-// (written next)
+#include "acquire/visual_hull.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <memory>
+
+#include "acquire/signed_silhouette.h"
+#include "acquire/silhouette_field.h"
+#include "base/error.h"
+#include "base/numeric.h"
+#include "base/parallel.h"
+#include "base/ray_scene.h"
+
+namespace srf {
+namespace {
+
+using Box3 = Box<AcquisitionSpace>;
+using Point3 = Point<AcquisitionSpace>;
+
+constexpr int kLeastCells = 64, kMostCells = 512;  // along the longest side, where the resolution is chosen here
+constexpr int kCoarseCells = 96;                   // where the views are compared with each other
+constexpr double kOutlierGap = 0.05;               // of IoU below the median, at least
+constexpr double kCoveredByOthers = 0.97;          // share of a usual mask that a trial hull must cover
+constexpr double kDust = 1e-6;                     // of the volume
+constexpr int kSmoothing = 10;                     // Taubin steps for the normals
+
+double median(std::vector<double> values) {
+  std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
+  return values[values.size() / 2];
+}
+
+std::string percent(double share) {
+  char text[16];
+  std::snprintf(text, sizeof text, "%.1f %%", 100 * share);
+  return text;
+}
+
+// A view with what carving needs of it.
+struct HullView {
+  const SilhouetteView* view;
+  std::unique_ptr<SignedSilhouette> silhouette;
+  Vec2 centroid;
+  double reach = 0;  // pixels from the centroid to the furthest corner of the silhouette's box
+};
+
+HullView prepare(const SilhouetteView& view) {
+  const Image8& mask = view.mask;
+  const Intrinsics& lens = view.camera.lens;
+  if (mask.channels() != 1 || mask.width() != lens.width || mask.height() != lens.height)
+    throw badInput(view.name, "the mask has " + std::to_string(mask.width()) + " x " + std::to_string(mask.height()) +
+                                  " pixels, expected the camera's " + std::to_string(lens.width) + " x " +
+                                  std::to_string(lens.height));
+  double count = 0, sum_x = 0, sum_y = 0;
+  Vec2 low{1e30, 1e30}, high{-1e30, -1e30};
+  for (int y = 0; y < mask.height(); ++y)
+    for (int x = 0; x < mask.width(); ++x) {
+      if (mask.at(x, y) < 128) continue;
+      count += 1, sum_x += x + 0.5, sum_y += y + 0.5;
+      low = {std::min(low.x, double(x)), std::min(low.y, double(y))};
+      high = {std::max(high.x, x + 1.0), std::max(high.y, y + 1.0)};
+    }
+  if (count == 0)
+    throw badInput(view.name, "the mask is empty; expected the object's silhouette, or leave the view out");
+  if (count == double(mask.width()) * mask.height())
+    throw badInput(view.name, "the mask is all object; expected background around a silhouette, or leave the view out");
+  HullView out{&view, std::make_unique<SignedSilhouette>(mask), {sum_x / count, sum_y / count}};
+  out.reach = std::hypot(std::max(high.x - out.centroid.x, out.centroid.x - low.x),
+                         std::max(high.y - out.centroid.y, out.centroid.y - low.y));
+  return out;
+}
+
+using HullViews = std::vector<const HullView*>;
+
+SilhouetteField makeField(const HullViews& views, int tolerance, const Box3& bounds) {
+  std::vector<Camera<AcquisitionSpace>> cameras;
+  std::vector<const SignedSilhouette*> silhouettes;
+  for (const HullView* v : views) {
+    cameras.push_back(v->view->camera);
+    silhouettes.push_back(v->silhouette.get());
+  }
+  return {cameras, silhouettes, tolerance, bounds};
+}
+
+// Where the rays through the silhouettes' centres meet: least distances, not their squares, so that a few wrong
+// silhouettes do not pull it away.
+Point3 meetingPoint(const HullViews& views) {
+  std::vector<Ray<AcquisitionSpace>> rays;
+  for (const HullView* v : views)
+    if (const auto ray = v->view->camera.ray(v->centroid)) rays.push_back(*ray);
+  if (rays.empty()) throw badInput("visual hull", "no silhouette's centre lies within its lens; check the calibration");
+  const Point3 base = rays[0].origin;
+  Point3 center = base;
+  std::vector<double> weight(rays.size(), 1);
+  for (int round = 0; round < 20; ++round) {
+    Mat3 a{{Vec3{}, Vec3{}, Vec3{}}};
+    Vec3 b;
+    double sum = 0;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+      const Vec3 d = rays[i].direction.raw();
+      const Mat3 across = Mat3{} + -1.0 * Mat3{{d.x * d, d.y * d, d.z * d}};
+      a = a + weight[i] * across;
+      b += weight[i] * (across * (rays[i].origin - base).raw());
+      sum += weight[i];
+    }
+    if (!(determinant((1 / sum) * a) > 1e-8))
+      throw badInput("visual hull", "all views look along one line, which does not bound the object; give its bounds");
+    center = base + Vector<AcquisitionSpace>(inverse(a) * b);
+    std::vector<double> off(rays.size());
+    for (std::size_t i = 0; i < rays.size(); ++i) off[i] = length(cross(rays[i].direction, center - rays[i].origin));
+    const double usual = std::max(median(off), 1e-12 * distance(center, rays[0].origin));
+    for (std::size_t i = 0; i < rays.size(); ++i) weight[i] = 1 / std::max(off[i], usual);
+  }
+  return center;
+}
+
+// A cube that should hold the object, from where and how large the silhouettes are.
+Box3 guessBounds(const HullViews& views) {
+  const Point3 center = meetingPoint(views);
+  std::vector<double> radius;
+  for (const HullView* v : views)
+    if (const auto seen = v->view->camera.project(center); seen && seen->depth > 0)
+      radius.push_back(v->reach * v->view->camera.pixelFootprint(seen->depth));
+  if (radius.empty()) throw badInput("visual hull", "no view sees where the silhouettes meet; check the calibration");
+  std::sort(radius.begin(), radius.end());
+  const double half = 1.5 * radius[(radius.size() - 1) * 9 / 10];
+  Box3 box;
+  box.extend(center - Vector<AcquisitionSpace>(half, half, half));
+  box.extend(center + Vector<AcquisitionSpace>(half, half, half));
+  return box;
+}
+
+Box3 occupied(const HullViews& views, int tolerance, const Box3& box) {
+  const double cell = maxComponent(box.max - box.min) / (128 * kBrick);
+  Box3 found = makeField(views, tolerance, box).occupied(latticeAround(box, cell));
+  for (int i = 0; i < 3; ++i) {
+    found.min[i] = std::max(found.min[i], box.min[i]);
+    found.max[i] = std::min(found.max[i], box.max[i]);
+  }
+  return found;
+}
+
+// A tight box about what the views leave. Where no bounds are given the guess grows until the hull stays off its faces.
+Box3 tightBounds(const HullViews& views, int tolerance, const std::optional<Box3>& given) {
+  if (given) return occupied(views, tolerance, *given);
+  Box3 box = guessBounds(views);
+  for (int round = 0;; ++round) {
+    const Box3 found = occupied(views, tolerance, box);
+    const double margin = 0.02 * maxComponent(box.max - box.min);
+    const bool touches = minComponent(found.min - box.min) < margin || minComponent(box.max - found.max) < margin;
+    if (found.empty() || !touches || round == 4) return found.empty() ? found : occupied(views, tolerance, found);
+    const Vec3 more = 0.3 * (box.max - box.min);
+    box.min -= more, box.max += more;
+  }
+}
+
+// IoU and coverage from about `samples` pixels along a picture's longer side.
+std::vector<ViewConsistency> compare(const AcquisitionMesh& mesh, const std::vector<const SilhouetteView*>& views,
+                                     int samples) {
+  std::vector<ViewConsistency> result(views.size());
+  const auto scene = RayScene<AcquisitionSpace>::ofTriangles(mesh.positions, mesh.triangles);
+  parallelFor(views.size(), 1, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const Image8& mask = views[i]->mask;
+      const int step = std::max(1, std::max(mask.width(), mask.height()) / samples);
+      std::size_t both = 0, either = 0, inside = 0;
+      std::vector<Ray<AcquisitionSpace>> rays;
+      std::vector<std::uint8_t> object;
+      std::vector<TriangleHit> hits;
+      for (int y = step / 2; y < mask.height(); y += step) {
+        rays.clear(), object.clear();
+        for (int x = step / 2; x < mask.width(); x += step)
+          if (const auto ray = views[i]->camera.ray({x + 0.5, y + 0.5})) {
+            rays.push_back(*ray);
+            object.push_back(mask.at(x, y) >= 128);
+          }
+        hits.resize(rays.size());
+        scene.intersect(rays, hits);
+        for (std::size_t k = 0; k < rays.size(); ++k) {
+          both += object[k] && hits[k].hit();
+          either += object[k] || hits[k].hit();
+          inside += object[k];
+        }
+      }
+      result[i].name = views[i]->name;
+      result[i].iou = either ? double(both) / double(either) : 0;
+      result[i].covered = inside ? double(both) / double(inside) : 0;
+    }
+  });
+  return result;
+}
+
+std::vector<const SilhouetteView*> sources(const HullViews& views) {
+  std::vector<const SilhouetteView*> out;
+  for (const HullView* v : views) out.push_back(v->view);
+  return out;
+}
+
+AcquisitionMesh carve(const HullViews& views, int tolerance, const Box3& tight, double cell, Reporter& reporter) {
+  return makeField(views, tolerance, tight).surface(latticeAround(tight, cell), reporter);
+}
+
+// A trial hull that a few wrong views could not carve, and how each view agrees with it.
+struct Trial {
+  AcquisitionMesh mesh;
+  std::vector<ViewConsistency> agreement;
+};
+Trial tryTolerantHull(const HullViews& views, int tolerance, const std::optional<Box3>& bounds) {
+  const int most = std::min<int>(static_cast<int>(views.size()) / 4, kMostTolerance);
+  Trial trial;
+  for (int m = std::min(std::max(2, tolerance), most);; m = std::min(2 * m, most)) {
+    const Box3 tight = tightBounds(views, m, bounds);
+    if (!tight.empty()) {
+      const double cell = maxComponent(tight.max - tight.min) / kCoarseCells;
+      trial.mesh = carve(views, m, tight, cell, Reporter::silent());
+      trial.agreement = compare(trial.mesh, sources(views), kCoarseCells);
+      std::vector<double> covered;
+      for (const auto& a : trial.agreement) covered.push_back(a.covered);
+      if (median(covered) >= kCoveredByOthers) return trial;
+    }
+    if (m >= most) return trial;
+  }
+}
+
+// Marks the views that contradict the others: their IoU with a tolerant hull lies far below the usual.
+std::vector<bool> outliers(const std::vector<ViewConsistency>& agreement) {
+  std::vector<double> iou, deviation;
+  for (const auto& a : agreement) iou.push_back(a.iou);
+  const double usual = median(iou);
+  for (const double x : iou) deviation.push_back(std::fabs(x - usual));
+  const double limit = usual - std::max(kOutlierGap, 5 * 1.4826 * median(deviation));
+  std::vector<std::size_t> order(agreement.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return iou[a] < iou[b]; });
+  std::vector<bool> out(agreement.size(), false);
+  for (std::size_t k = 0; k < order.size() / 4; ++k) out[order[k]] = iou[order[k]] < limit;
+  return out;
+}
+
+// Names the views that disagree most with what the others leave.
+Error nothingLeft(const HullViews& views, const std::optional<Box3>& bounds) {
+  std::vector<ViewConsistency> agreement;
+  if (views.size() >= 4) agreement = tryTolerantHull(views, 2, bounds).agreement;
+  std::string worst = "few views to tell which";
+  if (!agreement.empty()) {
+    std::stable_sort(agreement.begin(), agreement.end(), [](const auto& a, const auto& b) { return a.iou < b.iou; });
+    worst.clear();
+    for (std::size_t i = 0; i < std::min<std::size_t>(3, agreement.size()); ++i)
+      worst += (i ? ", " : "") + agreement[i].name + " (" + percent(agreement[i].iou) + ")";
+  }
+  return badInput("visual hull",
+                  "the silhouettes leave nothing: no point lies in all of them; the views that disagree "
+                  "most: " +
+                      worst + "; check their masks and cameras, or the bounds");
+}
+
+// Components below a millionth of the volume go.
+void dropDust(AcquisitionMesh& mesh, Reporter& reporter) {
+  const auto component = vertexComponents(mesh);
+  if (component.empty()) return;
+  std::vector<double> volume(*std::max_element(component.begin(), component.end()) + 1, 0);
+  const Vec3 center = mesh.bounds().center().raw();
+  double whole = 0;
+  for (const Triangle& t : mesh.triangles) {
+    const Vec3 a = mesh.positions[t[0]].raw() - center, b = mesh.positions[t[1]].raw() - center,
+               c = mesh.positions[t[2]].raw() - center;
+    const double v = dot(a, cross(b, c));
+    volume[component[t[0]]] += v;
+    whole += v;
+  }
+  const auto isDust = [&](const Triangle& t) { return std::fabs(volume[component[t[0]]]) < kDust * whole; };
+  const auto dust = std::count_if(volume.begin(), volume.end(), [&](double v) { return std::fabs(v) < kDust * whole; });
+  if (dust == 0) return;
+  reporter.count("hull.dust", static_cast<std::uint64_t>(dust));
+  std::erase_if(mesh.triangles, isDust);
+  cleanMesh(mesh);
+}
+
+// Normals of a smoothed copy (Taubin 1995: a step of shrinking, a step of growing): those of the carved surface itself
+// carry the facets of the cones and the lattice.
+std::vector<Direction<AcquisitionSpace>> smoothNormals(const AcquisitionMesh& mesh) {
+  AcquisitionMesh smooth{mesh.positions, mesh.triangles, {}};
+  std::vector<Vec3> sum(mesh.positions.size());
+  std::vector<int> count(mesh.positions.size());
+  const Vec3 base = mesh.positions[0].raw();
+  for (int step = 0; step < 2 * kSmoothing; ++step) {
+    const double weight = step % 2 == 0 ? 0.5 : -0.53;
+    std::fill(sum.begin(), sum.end(), Vec3{});
+    std::fill(count.begin(), count.end(), 0);
+    for (const Triangle& t : mesh.triangles)
+      for (int k = 0; k < 3; ++k) {
+        sum[t[k]] += smooth.positions[t[(k + 1) % 3]].raw() - base;
+        ++count[t[k]];
+      }
+    for (std::size_t i = 0; i < sum.size(); ++i) {
+      const Vec3 p = smooth.positions[i].raw() - base;
+      smooth.positions[i] = Point3(base + p + weight * (sum[i] / count[i] - p));
+    }
+  }
+  return vertexNormals(smooth);
+}
+
+}  // namespace
+
+VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullOptions& options, Reporter& reporter) {
+  if (views.empty()) throw badInput("visual hull", "there are no silhouettes to carve from");
+  if (options.tolerance < 0 || options.tolerance > kMostTolerance)
+    throw Error(ErrorKind::usage, "the tolerance is " + std::to_string(options.tolerance) + ", expected 0 to " +
+                                      std::to_string(kMostTolerance) + " views");
+  if (options.resolution < 0 || options.resolution > 4 * kMostCells)
+    throw Error(ErrorKind::usage, "the resolution is " + std::to_string(options.resolution) +
+                                      " cells, expected 0 (chosen here) to " + std::to_string(4 * kMostCells));
+  std::vector<HullView> prepared(views.size());
+  {
+    Reporter::Stage stage(reporter, "silhouette distances", views.size());
+    parallelFor(views.size(), 1, [&](std::size_t begin, std::size_t) {
+      prepared[begin] = prepare(views[begin]);
+      stage.advance();
+    });
+  }
+  HullViews used;
+  for (const HullView& v : prepared) used.push_back(&v);
+
+  VisualHull hull;
+  std::vector<bool> excluded(views.size(), false);
+  if (options.exclude_outliers && views.size() >= 4) {
+    Reporter::Stage stage(reporter, "silhouette agreement", 1);
+    const auto agreement = tryTolerantHull(used, options.tolerance, options.bounds).agreement;
+    if (!agreement.empty()) {
+      excluded = outliers(agreement);
+      used.clear();
+      for (std::size_t i = 0; i < views.size(); ++i) {
+        if (!excluded[i]) {
+          used.push_back(&prepared[i]);
+          continue;
+        }
+        reporter.warn("view " + views[i].name + " is left out of the hull: its silhouette agrees with the others by " +
+                      percent(agreement[i].iou) + " only (intersection over union); check its mask and camera");
+        reporter.count("hull.views_left_out");
+      }
+    }
+    stage.advance();
+  }
+
+  const Box3 tight = tightBounds(used, options.tolerance, options.bounds);
+  if (tight.empty()) throw nothingLeft(used, options.bounds);
+  const double longest = maxComponent(tight.max - tight.min);
+  int cells = options.resolution;
+  if (cells == 0) {
+    std::vector<double> footprint;
+    for (const HullView* v : used)
+      if (const auto seen = v->view->camera.project(tight.center()); seen && seen->depth > 0)
+        footprint.push_back(v->view->camera.pixelFootprint(seen->depth));
+    const double wanted = footprint.empty() ? kLeastCells : longest / median(footprint);
+    cells = static_cast<int>(std::clamp<double>(std::ceil(wanted), kLeastCells, kMostCells));
+  }
+  hull.cell = longest / cells;
+  hull.mesh = carve(used, options.tolerance, tight, hull.cell, reporter);
+  if (hull.mesh.triangles.empty()) throw nothingLeft(used, options.bounds);
+  dropDust(hull.mesh, reporter);
+  hull.mesh.normals = smoothNormals(hull.mesh);
+
+  hull.views = silhouetteConsistency(hull.mesh, views);
+  for (std::size_t i = 0; i < views.size(); ++i) hull.views[i].excluded = excluded[i];
+  reporter.figure("hull.volume", meshVolume(hull.mesh));
+  reporter.figure("hull.triangles", static_cast<double>(hull.mesh.triangles.size()));
+  reporter.figure("hull.cell", hull.cell);
+  return hull;
+}
+
+std::vector<ViewConsistency> silhouetteConsistency(const AcquisitionMesh& mesh,
+                                                   const std::vector<SilhouetteView>& views) {
+  std::vector<const SilhouetteView*> pointers;
+  for (const SilhouetteView& view : views) pointers.push_back(&view);
+  return compare(mesh, pointers, 256);
+}
+
+}  // namespace srf

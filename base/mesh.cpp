@@ -113,6 +113,16 @@ MeshTopology meshTopology(const AcquisitionMesh& mesh) {
   return topology;
 }
 
+std::vector<std::uint32_t> vertexComponents(const AcquisitionMesh& mesh) {
+  DisjointSets parts(mesh.positions.size());
+  for (const Triangle& t : mesh.triangles) parts.unite(t[0], t[1]), parts.unite(t[1], t[2]);
+  std::vector<std::uint32_t> component(mesh.positions.size());
+  std::uint32_t count = 0;
+  for (std::uint32_t v = 0; v < component.size(); ++v)
+    component[v] = parts.root(v) == v ? count++ : component[parts.root(v)];
+  return component;
+}
+
 double meshVolume(const AcquisitionMesh& mesh) {
   if (mesh.triangles.empty()) return 0;
   const Vec3 center = mesh.bounds().center().raw();  // the tetrahedra meet here: far from the origin nothing is lost

@@ -41,6 +41,9 @@ struct MeshTopology {
   long euler_characteristic = 0;  ///< V - E + F of the used vertices; 2 - 2 genus for one closed component
 };
 MeshTopology meshTopology(const AcquisitionMesh& mesh);
+/// Of each vertex the number of its connected component, from 0 in the order of first vertices; unused vertices are
+/// components of their own.
+std::vector<std::uint32_t> vertexComponents(const AcquisitionMesh& mesh);
 /// Signed volume in units cubed; positive when the winding is outward.
 double meshVolume(const AcquisitionMesh& mesh);
 double meshArea(const AcquisitionMesh& mesh);

@@ -1,0 +1,42 @@
+// The signed distance to a silhouette's contour, in pixels: negative inside, zero where the coverage is one half.
+#pragma once
+
+#include <cmath>
+
+#include "base/image.h"
+
+namespace srf {
+
+/// Sub-pixel distances of one mask, kept for the box around its silhouette. Immutable and thread-safe.
+class SignedSilhouette {
+ public:
+  /// `mask`: coverage, 0 outside, 255 inside; neither empty nor all inside. On a straight edge of exact coverage the
+  /// contour is met within 0.02 pixels; masks without soft values are smoothed by one pixel first.
+  explicit SignedSilhouette(const Image8& mask);
+
+  /// The distance at a pixel position (bilinear; the first pixel's centre is at 0.5, 0.5). Beyond the box, of its
+  /// continuation: sqrt(distance at the box^2 + distance to the box^2), a lower bound without a jump.
+  double at(double x, double y) const {
+    const double u = x - 0.5 - left_, v = y - 0.5 - top_;
+    const double cu = u < 0 ? 0 : u > last_x_ ? last_x_ : u, cv = v < 0 ? 0 : v > last_y_ ? last_y_ : v;
+    const int i = cu < last_x_ ? static_cast<int>(cu) : static_cast<int>(last_x_) - 1;
+    const int j = cv < last_y_ ? static_cast<int>(cv) : static_cast<int>(last_y_) - 1;
+    const double s = cu - i, t = cv - j;
+    const float* row = distance_.data().data() + static_cast<std::size_t>(j) * distance_.width() + i;
+    const float* next = row + distance_.width();
+    const double upper = row[0] + s * (row[1] - row[0]), lower = next[0] + s * (next[1] - next[0]);
+    const double inside = upper + t * (lower - upper);
+    if (u == cu && v == cv) return inside;
+    const double beyond = (u - cu) * (u - cu) + (v - cv) * (v - cv);
+    return std::copysign(std::sqrt(inside * inside + beyond), inside);
+  }
+  /// Whether the silhouette reaches the picture's edge: the object may go on outside.
+  bool cropped() const { return cropped_; }
+
+ private:
+  ImageF distance_;
+  double left_ = 0, top_ = 0, last_x_ = 0, last_y_ = 0;  ///< of the box, pixels
+  bool cropped_ = false;
+};
+
+}  // namespace srf
