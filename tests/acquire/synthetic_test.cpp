@@ -201,6 +201,38 @@ TEST(SyntheticObject, ReflectanceIsReciprocalAndCreatesNoLight) {
   }
 }
 
+TEST(SyntheticObject, BrushedMetalReflectsWhatItsFacetsDo) {
+  // Facets drawn from the GGX distribution, seen from above: light leaves where they mirror it to, less what Smith's
+  // term hides there.
+  const double ax = 0.1, ay = 0.4;
+  std::mt19937 random(11);
+  std::uniform_real_distribution<double> uniform;
+  double expected = 0;
+  const int facets = 400000;
+  for (int i = 0; i < facets; ++i) {
+    const double u = uniform(random), a = 2 * kPi * uniform(random), slope = std::sqrt(u / (1 - u));
+    const Vec3 facet{ax * slope * std::cos(a), ay * slope * std::sin(a), 1};
+    const Vec3 h = facet / length(facet), l = 2 * h.z * h - Vec3{0, 0, 1};
+    if (l.z <= 0) continue;
+    const double lambda = 0.5 * (std::sqrt(1 + (square(ax * l.x) + square(ay * l.y)) / square(l.z)) - 1);
+    expected += (0.95 + 0.05 * std::pow(1 - h.z, 5)) / (1 + lambda) / facets;
+  }
+  const SyntheticObject object(SyntheticShape::sphere, SyntheticMaterial::conductor);
+  const ShadingPoint point = object.shadingPoint(P0(0.6, 0, 0.8));
+  double reflected = 0;
+  const int count = 200000;
+  for (const Vec3& l : spherePoints(count)) {
+    const Dir0 light = Dir0::fromUnit(l);
+    reflected += 4 * kPi / count * std::max(0.0, dot(point.normal, light)) * object.brdf(point, light, point.normal).x;
+  }
+  EXPECT_NEAR(reflected, expected, 2e-3);  // of the drawing: 0.3 / sqrt(400000) = 5e-4, 4 of them
+  // Brushed around the axis: the highlight is narrow along the tangent, wide across.
+  const auto off = [&](const Dir0& toward) {
+    return object.brdf(point, *normalize(Vector<AcquisitionSpace>(point.normal) + 0.3 * toward), point.normal).x;
+  };
+  EXPECT_GT(off(point.bitangent), 3 * off(point.tangent));
+}
+
 TEST(SyntheticCapture, FolderHoldsWhatTheOptionsAskedFor) {
   const TemporaryFolder folder;
   writeSyntheticCapture(small(SyntheticShape::torus, SyntheticMaterial::plastic), folder / "cap/", Reporter::silent());
