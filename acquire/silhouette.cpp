@@ -192,7 +192,7 @@ void keepLargestComponent(cv::Mat& mask) {
     if (stats.at<int>(l, cv::CC_STAT_AREA) > area) area = stats.at<int>(l, cv::CC_STAT_AREA), largest = l;
   mask = labels == largest;
   if (largest == 0) mask = 0;
-  fillSpecks(mask, area / 1000);
+  fillSpecks(mask, area / 200);
 }
 
 Image8 imageOf(const cv::Mat& mask) {

@@ -1,1 +1,54 @@
-int main() { return 1; }
+// srf check: what is wrong with a capture, where, and how to mend it.
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "acquire/capture_check.h"
+#include "apps/program.h"
+#include "base/error.h"
+#include "base/json.h"
+
+namespace {
+
+void printReport(const srf::CheckReport& report) {
+  for (const srf::CheckItem& i : report.items) {
+    const std::string about = i.file.empty() ? "" : i.file + ": ";
+    std::printf("%-8s %-19s %s%s\n", srf::verdictName(i.verdict).c_str(), i.item.c_str(), about.c_str(),
+                i.found.c_str());
+    if (!i.mend.empty()) std::printf("%-8s %-19s   mend: %s\n", "", "", i.mend.c_str());
+  }
+  std::printf("%zu faults, %zu warnings\n", report.count(srf::Verdict::fault), report.count(srf::Verdict::warning));
+}
+
+void writeReport(const std::string& file, const srf::CheckReport& report) {
+  srf::Json json;
+  json["faults"] = report.count(srf::Verdict::fault);
+  json["warnings"] = report.count(srf::Verdict::warning);
+  json["items"] = srf::Json::array();
+  for (const srf::CheckItem& i : report.items)
+    json["items"].push_back({{"verdict", srf::verdictName(i.verdict)},
+                             {"item", i.item},
+                             {"file", i.file},
+                             {"found", i.found},
+                             {"mend", i.mend}});
+  srf::writeJsonFile(file, json);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  srf::Program program("check", "Examines a capture and says what is wrong, where, and how to mend it.");
+  std::string capture, out = ".", json;
+  program.app()
+      .add_option("capture", capture, "folder with transforms.json, a Middlebury *_par.txt or a COLMAP model")
+      ->required();
+  program.app().add_option("-o,--output", out, "where the SRF is to be written, for the forecast of disk space");
+  program.app().add_option("--json", json, "write the report to this file as well");
+  return program.run(argc, argv, [&](srf::Reporter& reporter) {
+    const srf::CheckReport report = srf::checkCapture(capture, out, reporter);
+    printReport(report);
+    if (!json.empty()) writeReport(json, report);
+    if (const auto faults = report.count(srf::Verdict::fault); faults > 0)
+      throw srf::badInput(capture, std::to_string(faults) + (faults == 1 ? " fault" : " faults") +
+                                       "; the report tells how to mend them");
+  });
+}
