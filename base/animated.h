@@ -11,8 +11,8 @@ namespace srf {
 
 enum class KeyInterpolation { linear, step, cubic };
 
-/// A value of type T (double, Vec3, or std::vector<Vec3> of constant size through its components) over frames. Before the
-/// first and after the last key the value holds.
+/// A value of type T (double, Vec3, or std::vector<Vec3> of constant size through its components) over frames. Before
+/// the first and after the last key the value holds.
 template <class T>
 class Animated {
  public:
@@ -23,6 +23,7 @@ class Animated {
 
   bool constant() const { return keys_.size() <= 1; }
   const std::vector<std::pair<double, T>>& keys() const { return keys_; }
+  KeyInterpolation interpolation() const { return interpolation_; }
 
   /// `cubic` is Catmull-Rom through the keys (tangents from the neighbours' times), one-sided at the ends.
   T at(double frame) const {

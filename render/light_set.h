@@ -1,4 +1,5 @@
-// The lights of one frame (M14): point lights, directional lights, and an environment map taken once to point-like lights.
+// The lights of one frame (M14): point lights, directional lights, and an environment map taken once to point-like
+// lights.
 #pragma once
 
 #include <filesystem>
@@ -33,25 +34,29 @@ struct FrameLights {
   std::vector<RestLight> rest;
 };
 
-/// An environment map reduced to N distant lights: each cell of a partition of the sphere gives its integrated energy at
-/// its energy centroid (theory: a value at the cell's direction fails on small bright sources). Sum of irradiances =
-/// integral of radiance over the sphere to 1e-6. `samples` 0: one light a texel. Before rotation.
+/// An environment map reduced to N distant lights: each cell of a partition of the sphere gives its integrated energy
+/// at its energy centroid (theory: a value at the cell's direction fails on small bright sources). Sum of irradiances =
+/// integral of radiance over the sphere to 1e-6. `samples` 0: one light a texel that is not black. Before rotation.
+/// `map`: grey, RGB or RGBA (alpha left out); orientation in formats.md.
 struct EnvironmentSamples {
   std::vector<DistantLight> lights;
-  std::size_t unusable_texels = 0;  ///< negative, NaN or infinite: counted as 0
+  std::size_t unusable_texels = 0;  ///< with a negative, NaN or infinite value: such values count as 0
 };
 EnvironmentSamples sampleEnvironment(const ImageF& map, int samples);
 
-/// Reads the scene's maps once and makes the lights of each frame.
+/// Reads the scene's maps once and makes the lights of each frame. The scene must outlive it.
 class LightSet {
  public:
+  /// Throws bad_input where a light does not fit the field: a captured light it does not have, or any other on a field
+  /// of unknown illumination.
   LightSet(const Scene& scene, const SrfManifest& field, Reporter& reporter);
+  /// Throws bad_input where animated keys leave a direction without length at `frame`.
   FrameLights at(double frame) const;
 
  private:
   const Scene& scene_;
-  const SrfManifest& field_;
   std::vector<EnvironmentSamples> environments_;  ///< one for each environment light, in order
+  std::vector<LightId> captured_;                 ///< one for each captured light, in order
 };
 
 }  // namespace srf

@@ -1,1 +1,243 @@
-// (written next)
+#include "render/scene.h"
+
+#include <charconv>
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "base/files.h"
+#include "base/numeric.h"
+#include "field/capture_json.h"
+
+namespace srf {
+namespace {
+
+constexpr int kMostFrames = 1000000;
+
+std::string numberText(double x) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%g", x);
+  return text;
+}
+
+/// A number from `least` to `most`.
+double numberWithin(const JsonNode& node, double least, double most) {
+  const double x = node.number();
+  if (!(x >= least && x <= most))
+    throw node.error("found " + numberText(x) + ", expected a number from " + numberText(least) + " to " +
+                     numberText(most));
+  return x;
+}
+
+/// Where the value of key `i` of an animated value stands.
+JsonNode keyNode(const JsonNode& node, std::size_t i) {
+  return node.isObject() ? node["keys"].at(i).at(1) : node;
+}
+
+/// A direction: every key is made a unit vector.
+Animated<Vec3> readDirection(const JsonNode& node) {
+  const Animated<Vec3> value = readAnimatedVec3(node);
+  auto keys = value.keys();
+  for (std::size_t i = 0; i < keys.size(); ++i) {
+    const auto unit = normalize(Vector<ObjectSpace>(keys[i].second));
+    if (!unit) throw keyNode(node, i).error("has length 0, expected a direction [x, y, z]");
+    keys[i].second = unit->raw();
+  }
+  return {std::move(keys), value.interpolation()};
+}
+
+Animated<double> numberOr(const JsonNode& parent, std::string_view key, double otherwise) {
+  const auto node = parent.find(key);
+  return node ? readAnimatedNumber(*node) : Animated<double>(otherwise);
+}
+
+SceneCamera readCamera(const JsonNode& node) {
+  if (!node.has("look_at")) {
+    node.onlyKeys({SRF_LENS_KEYS, "transform_matrix", "look_at", "vfov"});
+    if (!node.has("transform_matrix")) throw node.error("has neither look_at nor transform_matrix; add one of them");
+    if (const auto vfov = node.find("vfov"))
+      throw vfov->error("belongs to look_at; give fl_x and fl_y beside a transform_matrix");
+    // The file's camera stands in object space; the reader's type speaks of a capture's.
+    const auto pose = readPose(node["transform_matrix"]);
+    return Camera<ObjectSpace>{
+        readLens({node}),
+        {Orthogonal<ObjectSpace, CameraSpace>(pose.rotation().raw()), Point<ObjectSpace>(pose.origin().raw())}};
+  }
+  node.onlyKeys({"w", "h", "vfov", "look_at"});
+  LookAtCamera camera;
+  camera.width = static_cast<int>(node["w"].integer(1, 65536));
+  camera.height = static_cast<int>(node["h"].integer(1, 65536));
+  camera.vfov = readAnimatedNumber(node["vfov"]);
+  for (std::size_t i = 0; i < camera.vfov.keys().size(); ++i) {
+    const double vfov = camera.vfov.keys()[i].second;
+    if (!(vfov > 0 && vfov < 180))
+      throw keyNode(node["vfov"], i).error("found " + numberText(vfov) + ", expected degrees above 0 and below 180");
+  }
+  const JsonNode look_at = node["look_at"].onlyKeys({"eye", "target", "up"});
+  camera.eye = readAnimatedVec3(look_at["eye"]);
+  camera.target = readAnimatedVec3(look_at["target"]);
+  camera.up = readDirection(look_at["up"]);
+  return camera;
+}
+
+SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) {
+  switch (node["type"].choice({"point", "directional", "environment", "captured"})) {
+    case 0:
+      node.onlyKeys({"type", "position", "intensity"});
+      return PointLight{readAnimatedVec3(node["position"]), readAnimatedVec3(node["intensity"])};
+    case 1:
+      node.onlyKeys({"type", "direction", "irradiance"});
+      return DirectionalLight{readDirection(node["direction"]), readAnimatedVec3(node["irradiance"])};
+    case 2: {
+      node.onlyKeys({"type", "map", "rotation", "scale", "samples"});
+      EnvironmentLight light;
+      light.map = folder / node["map"].string();
+      if (!std::filesystem::is_regular_file(light.map))
+        throw node["map"].error("the file '" + light.map.string() +
+                                "' does not exist; the path is relative to the scene's file");
+      light.rotation = numberOr(node, "rotation", 0);
+      light.scale = numberOr(node, "scale", 1);
+      if (const auto samples = node.find("samples")) light.samples = static_cast<int>(samples->integer(0, 1000000));
+      return light;
+    }
+    default:
+      node.onlyKeys({"type", "light", "scale"});
+      return CapturedLight{node.has("light") ? node["light"].string() : "", numberOr(node, "scale", 1)};
+  }
+}
+
+Accuracy readAccuracy(const JsonNode& node) {
+  node.onlyKeys({"views", "lights", "frame", "light_sharing", "min_distance"});
+  Accuracy accuracy;
+  if (const auto views = node.find("views")) accuracy.views = static_cast<int>(views->integer(1, 64));
+  if (const auto lights = node.find("lights")) accuracy.lights = static_cast<int>(lights->integer(1, 64));
+  if (const auto frame = node.find("frame"))
+    accuracy.frame = frame->choice({"bisector", "polar"}) == 0 ? FrameMode::bisector : FrameMode::polar;
+  if (const auto degrees = node.find("light_sharing")) accuracy.light_sharing = numberWithin(*degrees, 0, 90);
+  if (const auto distance = node.find("min_distance")) accuracy.min_distance = numberWithin(*distance, 1e-9, 1);
+  return accuracy;
+}
+
+void readEffects(const JsonNode& node) {
+  node.onlyKeys({"shadows", "matte", "ground", "motion_blur", "depth_of_field"});
+  for (const auto& [key, value] : node.raw().items()) {
+    if (key == "shadows" && node[key].choice({"captured", "deformed", "off"}) == 0) continue;
+    throw node[key].error(
+        "is not available for plain interpolation in this version; the one effect is \"shadows\": "
+        "\"captured\", which is also what holds without it");
+  }
+}
+
+std::vector<int> readFrames(const JsonNode& node) {
+  if (node.isNumber()) return {static_cast<int>(node.integer(-kMostFrames, kMostFrames))};
+  return parseFrames(node.string(), node.where());
+}
+
+/// What the keys that change a picture hold, whatever their order of reading.
+std::uint64_t contentOf(const JsonNode& root) {
+  Json content = root.raw();
+  for (const char* key : {"srf", "frames", "output"}) content.erase(key);
+  const std::string text = content.dump();
+  return contentHash(text.data(), text.size());
+}
+
+}  // namespace
+
+Scene readScene(const std::filesystem::path& file, const std::vector<std::string>& overrides, Reporter& reporter) {
+  JsonNode root = readJsonFile(file);
+  for (const std::string& assignment : overrides) root = withOverride(root, assignment);
+  root.onlyKeys({"srf", "camera", "deformation", "lights", "frames", "fps", "output", "interpolation", "samples",
+                 "effects", "accuracy"});
+  const std::filesystem::path folder = file.parent_path();
+  Scene scene;
+  scene.file = file;
+  if (const auto srf = root.find("srf")) scene.srf = folder / srf->string();
+  scene.camera = readCamera(root["camera"]);
+  if (const auto list = root.find("deformation"))
+    scene.deformation = AnimatedDeformation::parse(*list, folder, reporter);
+  const JsonNode lights = root["lights"];
+  for (std::size_t i = 0; i < lights.size(); ++i) scene.lights.push_back(readLight(lights.at(i), folder));
+  if (const auto frames = root.find("frames")) scene.frames = readFrames(*frames);
+  if (const auto fps = root.find("fps")) scene.fps = numberWithin(*fps, 1e-3, 1e4);
+  if (const auto output = root.find("output")) scene.output = output->string();
+  if (const auto way = root.find("interpolation"); way && way->choice({"plain", "guided"}) == 1)
+    throw way->error("found 'guided', yet the model holds no fit; use \"plain\"");
+  if (const auto samples = root.find("samples")) scene.samples = static_cast<int>(samples->integer(1, 1024));
+  if (const auto effects = root.find("effects")) readEffects(*effects);
+  if (const auto accuracy = root.find("accuracy")) scene.accuracy = readAccuracy(*accuracy);
+  scene.content_hash = contentOf(root);
+  return scene;
+}
+
+Camera<ObjectSpace> Scene::cameraAt(double frame) const {
+  if (const auto* fixed = std::get_if<Camera<ObjectSpace>>(&camera)) return *fixed;
+  const auto& moving = std::get<LookAtCamera>(camera);
+  const std::string where = file.string() + ": /camera";
+  const std::string at_frame = " at frame " + numberText(frame);
+  const double vfov = moving.vfov.at(frame);
+  if (!(vfov > 0 && vfov < 180))  // cubic keys may overshoot
+    throw badInput(where + "/vfov", "is " + numberText(vfov) + at_frame + ", expected degrees above 0 and below 180");
+  const Point<ObjectSpace> eye(moving.eye.at(frame)), target(moving.target.at(frame));
+  const auto pose = lookAt(eye, target, Vector<ObjectSpace>(moving.up.at(frame)));
+  if (!pose)
+    throw badInput(where + "/look_at", normalize(target - eye)
+                                           ? "up is parallel to the viewing direction" + at_frame + "; tilt it"
+                                           : "eye and target are the same point" + at_frame + "; move one of them");
+  return {pinholeFromFov(moving.width, moving.height, vfov), *pose};
+}
+
+std::vector<int> parseFrames(const std::string& text, const std::string& where) {
+  const char* at = text.data();
+  const char* const end = at + text.size();
+  const auto fail = [&](const std::string& what) {
+    return badInput(where, "found '" + text + "', " + what + "expected frames such as 0-60, 0-60x2, 3 or 1,3,10-20");
+  };
+  const auto number = [&] {
+    int value = 0;
+    const auto [next, code] = std::from_chars(at, end, value);
+    if (code != std::errc() || std::abs(value) > kMostFrames) throw fail("");
+    at = next;
+    return value;
+  };
+  const auto skip = [&](char c) { return at != end && *at == c && ++at; };
+  std::vector<int> frames;
+  do {
+    while (skip(' ')) {}
+    const int first = number();
+    int last = first, step = 1;
+    if (skip('-')) {
+      last = number();
+      if (skip('x')) step = number();
+      if (last < first) throw fail("which runs backwards; ");
+      if (step < 1) throw fail("whose step is not above 0; ");
+    }
+    while (skip(' ')) {}
+    for (int frame = first; frame <= last; frame += step) frames.push_back(frame);
+    if (frames.size() > static_cast<std::size_t>(kMostFrames)) throw fail("which is more than a million frames; ");
+  } while (skip(','));
+  if (at != end) throw fail("");
+  return frames;
+}
+
+std::filesystem::path frameFile(const std::string& pattern, int frame) {
+  std::filesystem::path path(pattern);
+  std::string name = path.filename().string();
+  const std::string digits = std::to_string(std::abs(frame));
+  const auto padded = [&](std::size_t width) {
+    return (frame < 0 ? "-" : "") + (digits.size() < width ? std::string(width - digits.size(), '0') : "") + digits;
+  };
+  if (const auto last = name.find_last_of('#'); last != std::string::npos) {
+    const auto before = name.find_last_not_of('#', last);
+    const std::size_t first = before == std::string::npos ? 0 : before + 1;
+    name.replace(first, last + 1 - first, padded(last + 1 - first));
+  } else if (const auto percent = name.find("%0"); percent != std::string::npos && percent + 3 < name.size() &&
+                                                   std::isdigit(static_cast<unsigned char>(name[percent + 2])) &&
+                                                   name[percent + 3] == 'd') {
+    name.replace(percent, 4, padded(static_cast<std::size_t>(name[percent + 2] - '0')));
+  } else {
+    const std::string extension = path.extension().string();
+    name = path.stem().string() + "." + padded(4) + extension;
+  }
+  return path.replace_filename(name);
+}
+
+}  // namespace srf

@@ -1,6 +1,7 @@
 // scene.json: camera, deformation, lights, frames, output (doc: formats, Scene).
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <optional>
 #include <string>
@@ -21,37 +22,45 @@ struct LookAtCamera {
 };
 using SceneCamera = std::variant<LookAtCamera, Camera<ObjectSpace>>;
 
-struct PointLight { Animated<Vec3> position, intensity; };
-struct DirectionalLight { Animated<Vec3> direction, irradiance; };
+struct PointLight {
+  Animated<Vec3> position, intensity;
+};
+struct DirectionalLight {
+  Animated<Vec3> direction, irradiance;
+};
 struct EnvironmentLight {
   std::filesystem::path map;
   Animated<double> rotation;  ///< degrees about +z
   Animated<double> scale;
-  int samples = 256;          ///< point-like lights taken from it; 0: every texel
+  int samples = 256;  ///< point-like lights taken from it; 0: every texel
 };
-struct CapturedLight { std::string light; Animated<double> scale; };  ///< `light` empty: the one unnamed light
+struct CapturedLight {
+  std::string light;
+  Animated<double> scale;
+};  ///< `light` empty: the one unnamed light
 using SceneLight = std::variant<PointLight, DirectionalLight, EnvironmentLight, CapturedLight>;
 
 /// Every approximation, each with an exact setting (M18).
 struct Accuracy {
-  int views = 4;                          ///< k nearest views
-  int lights = 4;                         ///< k nearest acquired lights
+  int views = 4;   ///< k nearest views
+  int lights = 4;  ///< k nearest acquired lights
   FrameMode frame = FrameMode::bisector;
-  double light_sharing = 1;               ///< degrees over which rotated light weights are shared; 0: exact
-  double min_distance = 1e-3;             ///< least distance of a point light in A(d), of the object's diameter
+  double light_sharing = 1;    ///< degrees over which rotated light weights are shared; 0: exact
+  double min_distance = 1e-3;  ///< least distance of a point light in A(d), of the object's diameter
 };
 
 struct Scene {
-  std::filesystem::path file;             ///< what relative paths refer to, and what errors name
+  std::filesystem::path file;  ///< what relative paths refer to, and what errors name
   std::filesystem::path srf;
   SceneCamera camera;
   AnimatedDeformation deformation;
   std::vector<SceneLight> lights;
   std::vector<int> frames{0};
   double fps = 24;
-  std::string output;                     ///< pattern with ####; relative to the working directory
-  int samples = 1;                        ///< per pixel
+  std::string output;  ///< pattern with ####; relative to the working directory
+  int samples = 1;     ///< per pixel
   Accuracy accuracy;
+  std::uint64_t content_hash = 0;  ///< of the file's keys that a picture depends on: all but srf, frames, output
 
   Camera<ObjectSpace> cameraAt(double frame) const;
 };
