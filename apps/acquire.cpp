@@ -1,1 +1,87 @@
-int main() { return 1; }
+// srf acquire: a capture to an SRF (patent, Fig. 1: acquisition).
+#include <algorithm>
+#include <cstdio>
+
+#include "acquire/acquire_field.h"
+#include "acquire/camera_import.h"
+#include "apps/program.h"
+#include "base/error.h"
+
+namespace {
+
+std::uint64_t bytesOnDisk(const std::filesystem::path& folder) {
+  std::uint64_t bytes = 0;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(folder))
+    if (entry.is_regular_file()) bytes += entry.file_size();
+  return bytes;
+}
+
+void printSummary(const srf::SrfManifest& manifest, const std::string& out, const srf::Reporter& reporter) {
+  std::printf("%s\n", out.c_str());
+  std::printf("  views        %zu\n", manifest.views.size());
+  std::printf("  lights       %zu%s\n", manifest.lights.size(),
+              manifest.unknownIllumination() ? " (unknown illumination: lights of kind 'captured' alone)" : "");
+  const auto figures = reporter.figures();
+  if (manifest.shape("hull")) {
+    std::printf("  hull         %.6g %s^3, finest cell %.4g %s\n", figures.at("hull.volume"), manifest.units.c_str(),
+                figures.at("hull.cell"), manifest.units.c_str());
+    std::printf("  silhouettes  agree with the hull to %.4f in the mean (intersection over union); least:",
+                figures.at("hull.iou.mean"));
+    auto views = manifest.views;
+    std::stable_sort(views.begin(), views.end(),
+                     [](const auto& a, const auto& b) { return a.silhouette_iou < b.silhouette_iou; });
+    for (std::size_t i = 0; i < std::min<std::size_t>(3, views.size()); ++i)
+      std::printf("%s %s %.4f", i ? "," : "", views[i].name.c_str(), views[i].silhouette_iou);
+    std::printf("\n");
+  }
+  std::printf("  on disk      %.1f MB\n", static_cast<double>(bytesOnDisk(out)) / 1e6);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  srf::Program program("acquire", "Capture to SRF: silhouettes, visual hull, registered views.");
+  std::string capture, out;
+  srf::AcquireOptions options;
+  std::vector<double> bounds;
+  double threshold = 0;
+  bool keep_outliers = false, no_hull = false, uncompressed = false;
+  CLI::App& app = program.app();
+  app.add_option("capture", capture, "folder with a transforms.json, a Middlebury *_par.txt or a COLMAP model")
+      ->required()
+      ->type_name("CAPTURE");
+  app.add_option("-o,--output", out, "the SRF to write")->required()->type_name("X.srf");
+  app.add_option("--hull-resolution", options.hull.resolution,
+                 "finest cells along the longest side of the object; 0: one pixel a cell")
+      ->check(CLI::Range(0, 4096))
+      ->capture_default_str();
+  app.add_option("--tolerance", options.hull.tolerance, "views that may disagree at a point without carving it away")
+      ->check(CLI::Range(0, 1000))
+      ->capture_default_str();
+  app.add_flag("--keep-outliers", keep_outliers, "carve with views too whose silhouette contradicts the others");
+  app.add_option("--bounds", bounds, "box that holds the object: x0,y0,z0,x1,y1,z1, in the capture's units")
+      ->delimiter(',')
+      ->expected(6);
+  const CLI::Option* threshold_option =
+      app.add_option("--background-threshold", threshold,
+                     "values above this (0 to 1, as encoded in the file) are the object where no mask tells")
+          ->check(CLI::Range(0.0, 1.0));
+  app.add_flag("--no-hull", no_hull, "carve no hull: the shape will come from elsewhere");
+  app.add_flag("--uncompressed", uncompressed, "store blocks as they are");
+  return program.run(argc, argv, [&](srf::Reporter& reporter) {
+    options.hull.exclude_outliers = !keep_outliers;
+    options.make_hull = !no_hull;
+    options.compress = !uncompressed;
+    options.memory_bytes = program.memoryBudget();
+    options.command = program.commandLine();
+    if (threshold_option->count() > 0) options.silhouette.background_threshold = threshold;
+    srf::Capture input = srf::openCapture(capture, reporter);
+    if (!bounds.empty()) {
+      const srf::Box<srf::AcquisitionSpace> box{{bounds[0], bounds[1], bounds[2]}, {bounds[3], bounds[4], bounds[5]}};
+      if (!(srf::minComponent(box.max - box.min) > 0))
+        throw srf::Error(srf::ErrorKind::usage, "expected x0 < x1, y0 < y1 and z0 < z1", "--bounds");
+      input.bounds = box;
+    }
+    printSummary(srf::acquireField(input, out, options, reporter), out, reporter);
+  });
+}

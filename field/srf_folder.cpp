@@ -80,7 +80,9 @@ Json filesJson(const std::vector<StoredFile>& files) {
   return list;
 }
 
-bool isSrf(const JsonNode& root) { return root.has("format") && root["format"].raw() == "srf"; }
+bool isSrf(const JsonNode& root) {
+  return root.has("format") && root["format"].raw() == "srf";
+}
 
 // A file that a running program is still writing (PartialFile).
 bool isBeingWritten(const std::string& name) {
@@ -99,12 +101,19 @@ const StoredFile* SrfManifest::model(const std::string& name) const {
   return named(models, name);
 }
 
+bool isSrfFolder(const fs::path& folder) {
+  try {
+    return isSrf(readJsonFile(folder / "manifest.json"));
+  } catch (const Error&) {
+    return false;
+  }
+}
+
 SrfManifest readManifest(const fs::path& folder) {
   if (!fs::is_directory(folder))
     throw badInput(folder.string(), "is not a folder, expected an SRF; make one with `srf acquire`");
   const JsonNode root = readJsonFile(folder / "manifest.json");
-  if (root.raw().value("format", "") != "srf")
-    throw root.error("is not an SRF's manifest; expected \"format\": \"srf\"");
+  if (!isSrf(root)) throw root.error("is not an SRF's manifest; expected \"format\": \"srf\"");
   const long version = root["version"].integer(1, 1000000);
   if (version > kSrfVersion)
     throw root["version"].error("is " + std::to_string(version) + ", this program reads up to " +

@@ -47,6 +47,8 @@ struct SrfManifest {
   const StoredFile* model(const std::string& name) const;
 };
 
+/// Whether the folder has the manifest of an SRF, of any version.
+bool isSrfFolder(const std::filesystem::path& folder);
 /// Reads and validates X.srf/manifest.json (version, keys, files present). Throws bad_input.
 SrfManifest readManifest(const std::filesystem::path& srf_folder);
 /// Replaces the manifest, then removes store files that no manifest entry names any more.
