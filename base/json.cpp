@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <sstream>
@@ -11,7 +12,9 @@
 namespace srf {
 namespace {
 
-std::string inQuotes(std::string_view word) { return "'" + std::string(word) + "'"; }
+std::string inQuotes(std::string_view word) {
+  return "'" + std::string(word) + "'";
+}
 
 // A short form of a value for messages.
 std::string shown(const Json& value) {
@@ -20,10 +23,27 @@ std::string shown(const Json& value) {
   return text;
 }
 
+// What reads values recurses, so nesting has a bound; no file of ours goes beyond ten.
+constexpr int kDeepest = 100;
+
+// A key as a token of a JSON pointer (RFC 6901).
+std::string token(std::string_view key) {
+  std::string out;
+  for (const char c : key) out += c == '~' ? "~0" : c == '/' ? "~1" : std::string(1, c);
+  return out;
+}
+
 JsonNode rootOf(const std::string& text, const std::string& name) {
   try {
-    auto document = std::make_shared<const Json>(Json::parse(text));
+    auto document = std::make_shared<const Json>(Json::parse(text, [&](int depth, Json::parse_event_t, Json&) {
+      if (depth > kDeepest)
+        throw badInput(name, "is nested deeper than " + std::to_string(kDeepest) + " levels; mend it");
+      return true;
+    }));
     return {document, document.get(), name, ""};
+  } catch (const Json::out_of_range& e) {
+    throw badInput(name,
+                   std::string("holds a number beyond the range of double precision (") + e.what() + "); mend it");
   } catch (const Json::parse_error& e) {
     const std::size_t end = std::min(e.byte > 0 ? e.byte - 1 : 0, text.size());
     const auto line = 1 + std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(end), '\n');
@@ -38,12 +58,24 @@ JsonNode rootOf(const std::string& text, const std::string& name) {
 JsonNode::JsonNode(std::shared_ptr<const Json> document, const Json* value, std::string file, std::string pointer)
     : document_(std::move(document)), value_(value), file_(std::move(file)), pointer_(std::move(pointer)) {}
 
-std::string JsonNode::where() const { return file_ + ": " + (pointer_.empty() ? "/" : pointer_); }
-bool JsonNode::isObject() const { return value_->is_object(); }
-bool JsonNode::isArray() const { return value_->is_array(); }
-bool JsonNode::isNumber() const { return value_->is_number(); }
-bool JsonNode::isString() const { return value_->is_string(); }
-std::string JsonNode::typeName() const { return value_->type_name(); }
+std::string JsonNode::where() const {
+  return file_ + ": " + (pointer_.empty() ? "/" : pointer_);
+}
+bool JsonNode::isObject() const {
+  return value_->is_object();
+}
+bool JsonNode::isArray() const {
+  return value_->is_array();
+}
+bool JsonNode::isNumber() const {
+  return value_->is_number();
+}
+bool JsonNode::isString() const {
+  return value_->is_string();
+}
+std::string JsonNode::typeName() const {
+  return value_->type_name();
+}
 
 const JsonNode& JsonNode::onlyKeys(std::initializer_list<std::string_view> known) const {
   if (!isObject()) throw error("found " + shown(*value_) + ", expected an object {...}");
@@ -53,20 +85,22 @@ const JsonNode& JsonNode::onlyKeys(std::initializer_list<std::string_view> known
     const std::string near = nearestWord(key, words);
     std::string list;
     for (const auto& w : words) list += (list.empty() ? "" : ", ") + w;
-    throw badInput(file_ + ": " + pointer_ + "/" + key,
+    throw badInput(file_ + ": " + pointer_ + "/" + token(key),
                    "unknown key " + inQuotes(key) +
                        (near.empty() ? "; known here: " + list : "; did you mean " + inQuotes(near) + "?"));
   }
   return *this;
 }
 
-bool JsonNode::has(std::string_view key) const { return isObject() && value_->contains(std::string(key)); }
+bool JsonNode::has(std::string_view key) const {
+  return isObject() && value_->contains(std::string(key));
+}
 
 std::optional<JsonNode> JsonNode::find(std::string_view key) const {
   if (!isObject()) throw error("found " + shown(*value_) + ", expected an object {...}");
   const auto it = value_->find(std::string(key));
   if (it == value_->end()) return std::nullopt;
-  return JsonNode(document_, &*it, file_, pointer_ + "/" + std::string(key));
+  return JsonNode(document_, &*it, file_, pointer_ + "/" + token(key));
 }
 
 JsonNode JsonNode::operator[](std::string_view key) const {
@@ -81,7 +115,8 @@ std::size_t JsonNode::size() const {
 }
 
 JsonNode JsonNode::at(std::size_t index) const {
-  if (index >= size()) throw error("has " + std::to_string(size()) + " entries, expected more than " + std::to_string(index));
+  if (index >= size())
+    throw error("has " + std::to_string(size()) + " entries, expected more than " + std::to_string(index));
   return {document_, &(*value_)[index], file_, pointer_ + "/" + std::to_string(index)};
 }
 
@@ -141,8 +176,12 @@ std::size_t JsonNode::choice(std::initializer_list<std::string_view> words) cons
   throw error("found " + inQuotes(found) + ", expected one of " + list);
 }
 
-JsonNode parseJson(const std::string& text, const std::string& name) { return rootOf(text, name); }
-JsonNode readJsonFile(const std::filesystem::path& file) { return rootOf(readTextFile(file), file.string()); }
+JsonNode parseJson(const std::string& text, const std::string& name) {
+  return rootOf(text, name);
+}
+JsonNode readJsonFile(const std::filesystem::path& file) {
+  return rootOf(readTextFile(file), file.string());
+}
 
 JsonNode withOverride(const JsonNode& root, const std::string& assignment) {
   const auto equals = assignment.find('=');
@@ -153,6 +192,17 @@ JsonNode withOverride(const JsonNode& root, const std::string& assignment) {
   Json value = Json::parse(text, nullptr, false);
   if (value.is_discarded()) value = text;
   try {
+    // nlohmann would fill an array with nulls up to any index.
+    for (Json::json_pointer p(pointer); !p.empty(); p.pop_back()) {
+      const Json::json_pointer parent = p.parent_pointer();
+      if (!document.contains(parent) || !document.at(parent).is_array() || p.back() == "-") continue;
+      const std::size_t size = document.at(parent).size();
+      if (p.back().size() > 9 || std::strtoul(p.back().c_str(), nullptr, 10) > size)
+        throw Error(ErrorKind::usage,
+                    "the pointer '" + pointer + "' goes beyond the " + std::to_string(size) + " entries of '" +
+                        parent.to_string() + "'",
+                    "--set");
+    }
     document[Json::json_pointer(pointer)] = value;
   } catch (const Json::exception& e) {
     throw Error(ErrorKind::usage, "the pointer '" + pointer + "' does not fit " + root.file() + " (" + e.what() + ")",
