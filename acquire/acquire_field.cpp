@@ -47,8 +47,8 @@ class OutputFolder {
       fs::create_directories(folder_ / part, code);
       if (code) {
         cleanUp();
-        throw Error(ErrorKind::failed, "could not be made: " + code.message() + "; choose a place where you may write",
-                    (folder_ / part).string());
+        throw Error(code == std::errc::no_space_on_device ? ErrorKind::out_of_budget : ErrorKind::failed,
+                    "could not be made: " + code.message() + "; choose another place", (folder_ / part).string());
       }
     }
   }

@@ -1,12 +1,14 @@
 #include "base/image_io.h"
 
+#include <Imath/half.h>
 #include <OpenEXR/ImfChannelList.h>
 #include <OpenEXR/ImfFrameBuffer.h>
+#include <OpenEXR/ImfFramesPerSecond.h>
 #include <OpenEXR/ImfHeader.h>
 #include <OpenEXR/ImfInputFile.h>
 #include <OpenEXR/ImfOutputFile.h>
+#include <OpenEXR/ImfStandardAttributes.h>
 #include <OpenEXR/ImfStringAttribute.h>
-#include <Imath/half.h>
 #include <OpenImageIO/imageio.h>
 
 #include <algorithm>
@@ -23,7 +25,10 @@ constexpr float kLargestHalf = 65504.f;
 
 std::unique_ptr<OIIO::ImageInput> openInput(const std::filesystem::path& file) {
   if (!std::filesystem::exists(file)) throw badInput(file.string(), "does not exist; check the path");
-  auto input = OIIO::ImageInput::open(file.string());
+  // Alpha is associated in linear light by readImage; OpenImageIO would do it on the encoded values.
+  OIIO::ImageSpec as_stored;
+  as_stored.attribute("oiio:UnassociatedAlpha", 1);
+  auto input = OIIO::ImageInput::open(file.string(), &as_stored);
   if (!input)
     throw badInput(file.string(), "could not be read as an image (" + OIIO::geterror() +
                                       "); expected EXR, HDR, PNG, TIFF or JPEG that is whole");
@@ -43,10 +48,16 @@ std::vector<int> colourChannels(const OIIO::ImageSpec& spec) {
   };
   const int r = find("R"), g = find("G"), b = find("B"), a = find("A"), y = find("Y");
   std::vector<int> order;
-  if (r >= 0 && g >= 0 && b >= 0) order = {r, g, b};
-  else if (y >= 0) order = {y};
-  else if (spec.nchannels >= 3) order = {0, 1, 2};
-  else order = {0};
+  if (r >= 0 && g >= 0 && b >= 0)
+    order = {r, g, b};
+  else if (y >= 0 && a >= 0)
+    order = {y, y, y};
+  else if (y >= 0)
+    order = {y};
+  else if (spec.nchannels >= 3)
+    order = {0, 1, 2};
+  else
+    order = {0};
   if (a >= 0 && order.size() == 3) order.push_back(a);
   return order;
 }
@@ -58,7 +69,8 @@ std::size_t clampToHalf(float& value) {
   return 0;
 }
 
-void writeWithOiio(const std::filesystem::path& file, const OIIO::ImageSpec& spec, OIIO::TypeDesc type, const void* data) {
+void writeWithOiio(const std::filesystem::path& file, const OIIO::ImageSpec& spec, OIIO::TypeDesc type,
+                   const void* data) {
   PartialFile part(file);
   auto output = OIIO::ImageOutput::create("png");
   if (!output || !output->open(part.path().string(), spec) || !output->write_image(type, data) || !output->close())
@@ -84,11 +96,14 @@ LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transf
   const int channels = static_cast<int>(order.size());
   image.pixels = ImageF(spec.width, spec.height, channels);
   const bool decode = !image.is_float && integer_transfer == Transfer::srgb;
+  const bool straight = image.has_alpha && spec.get_int_attribute("oiio:UnassociatedAlpha") != 0;
   float* to = image.pixels.data().data();
   for (std::size_t p = 0; p < static_cast<std::size_t>(spec.width) * spec.height; ++p)
     for (int c = 0; c < channels; ++c) {
       const float value = all[p * spec.nchannels + order[c]];
       *to++ = decode && c < 3 ? linearFromSrgb(value) : value;
+      if (straight && c == 3)
+        for (int k = 2; k <= 4; ++k) to[-k] *= value;
     }
   return image;
 }
@@ -105,9 +120,12 @@ Image8 readMask(const std::filesystem::path& file) {
   for (int y = 0; y < p.height(); ++y)
     for (int x = 0; x < p.width(); ++x) {
       float value = p.at(x, y, 0);
-      if (image.has_alpha) value = p.at(x, y, 3);
-      else if (p.channels() == 3) value = (p.at(x, y, 0) + p.at(x, y, 1) + p.at(x, y, 2)) / 3;
-      mask.at(x, y) = static_cast<std::uint8_t>(std::lround(255 * std::clamp(std::isnan(value) ? 0.f : value, 0.f, 1.f)));
+      if (image.has_alpha)
+        value = p.at(x, y, 3);
+      else if (p.channels() == 3)
+        value = (p.at(x, y, 0) + p.at(x, y, 1) + p.at(x, y, 2)) / 3;
+      mask.at(x, y) =
+          static_cast<std::uint8_t>(std::lround(255 * std::clamp(std::isnan(value) ? 0.f : value, 0.f, 1.f)));
     }
   return mask;
 }
@@ -117,7 +135,11 @@ std::size_t writeExr(const std::filesystem::path& file, int width, int height, c
   std::size_t clamped = 0;
   Imf::Header header(width, height);
   header.compression() = Imf::ZIP_COMPRESSION;
-  for (const auto& [key, value] : attributes) header.insert(key, Imf::StringAttribute(value));
+  for (const auto& [key, value] : attributes)
+    if (key == "framesPerSecond")  // a standard attribute of its own type, which players read
+      Imf::addFramesPerSecond(header, Imf::guessExactFps(std::stod(value)));
+    else
+      header.insert(key, Imf::StringAttribute(value));
   Imf::FrameBuffer buffer;
   const std::size_t pixels = static_cast<std::size_t>(width) * height;
   std::vector<std::vector<half>> halves(channels.size());
@@ -141,8 +163,8 @@ std::size_t writeExr(const std::filesystem::path& file, int width, int height, c
         clamped += clampToHalf(v);
         halves[c][i] = half(v);
       }
-      buffer.insert(channel.name,
-                    Imf::Slice(Imf::HALF, reinterpret_cast<char*>(halves[c].data()), sizeof(half), sizeof(half) * width));
+      buffer.insert(channel.name, Imf::Slice(Imf::HALF, reinterpret_cast<char*>(halves[c].data()), sizeof(half),
+                                             sizeof(half) * width));
     }
   }
   PartialFile part(file);

@@ -15,32 +15,35 @@ namespace srf {
 enum class Transfer { srgb, linear };
 
 struct LoadedImage {
-  ImageF pixels;              ///< linear; 1, 3 or 4 channels (grey, RGB, RGBA); alpha is never transfer-decoded
-  bool has_alpha = false;     ///< the last channel is alpha
-  int bits = 32;              ///< of the file: 8, 16 or 32
-  bool is_float = true;       ///< half or float samples in the file
+  ImageF pixels;           ///< linear; 1, 3 or 4 channels (grey, RGB, premultiplied RGBA)
+  bool has_alpha = false;  ///< the last channel is alpha
+  int bits = 32;           ///< of the file: 8, 16 or 32
+  bool is_float = true;    ///< half or float samples in the file
 };
 
 /// Reads a whole image, first part, channels by name (R G B A, else Y, else in file order). NaN and Inf are passed
 /// on as they are. Throws bad_input that names the file: missing, unreadable, truncated.
 LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transfer = Transfer::srgb);
 /// Width and height without decoding the pixels.
-struct ImageSize { int width = 0, height = 0; };
+struct ImageSize {
+  int width = 0, height = 0;
+};
 ImageSize readImageSize(const std::filesystem::path& file);
 /// A mask: 8-bit coverage; one channel, or the alpha of an RGBA file, or the mean of RGB. No transfer curve.
 Image8 readMask(const std::filesystem::path& file);
 
 /// One named channel of an EXR frame.
 struct ExrChannel {
-  std::string name;           ///< "R", "P.X", "view.0" ..
+  std::string name;             ///< "R", "P.X", "view.0" ..
   const float* data = nullptr;  ///< width * height values, `stride` floats apart
   std::ptrdiff_t stride = 1;
-  bool full_float = false;    ///< 32-bit float instead of half
+  bool full_float = false;  ///< 32-bit float instead of half
 };
 using Attributes = std::map<std::string, std::string>;  ///< string attributes of the header
 
-/// Writes beside `file` and renames; values beyond half range are clamped and counted (the count is returned); NaN never
-/// passes: it is a broken promise of the caller and is written as 0 and counted too.
+/// Writes beside `file` and renames; values beyond half range are clamped and counted (the count is returned); NaN
+/// never passes: it is a broken promise of the caller and is written as 0 and counted too. The attribute `framesPerSecond`, a
+/// number, is written as OpenEXR's own rational.
 std::size_t writeExr(const std::filesystem::path& file, int width, int height, const std::vector<ExrChannel>& channels,
                      const Attributes& attributes = {});
 /// RGB or RGBA or grey float image as half EXR.
