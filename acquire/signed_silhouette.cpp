@@ -12,7 +12,7 @@ namespace {
 
 constexpr int kPadding = 4;                // pixels kept around the silhouette's box
 constexpr double kSoftBlur = 0.6;          // pixels; standard deviation
-constexpr double kHardBlur = 1.0;          // for masks without soft values: evens out the stairs
+constexpr double kHardBlur = 1.4;          // for masks without soft values: evens out the stairs
 constexpr double kBoxVariance = 1.0 / 12;  // of a pixel's area across an edge, at any angle of the edge
 constexpr float kNear = 0.75f;             // pixels: where the blurred value itself tells the distance
 constexpr float kFootprint = 0.6f;         // pixels: half length of the piece of contour that a near pixel stands for
@@ -71,7 +71,7 @@ SignedSilhouette::SignedSilhouette(const Image8& mask) {
   const cv::Mat whole(mask.height(), mask.width(), CV_8U, const_cast<std::uint8_t*>(mask.data().data()));
   cv::Mat coverage;
   whole(box).convertTo(coverage, CV_32F, 1.0 / 255);
-  cv::GaussianBlur(coverage, coverage, cv::Size(9, 9), blur, blur, cv::BORDER_REPLICATE);
+  cv::GaussianBlur(coverage, coverage, cv::Size(11, 11), blur, blur, cv::BORDER_REPLICATE);
 
   distance_ = ImageF(std::max(box.width, 2), std::max(box.height, 2), 1);
   left_ = left, top_ = top, last_x_ = distance_.width() - 1, last_y_ = distance_.height() - 1;

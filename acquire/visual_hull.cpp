@@ -276,30 +276,6 @@ void dropDust(AcquisitionMesh& mesh, Reporter& reporter) {
   cleanMesh(mesh);
 }
 
-// Normals of a smoothed copy (Taubin 1995: a step of shrinking, a step of growing): those of the carved surface itself
-// carry the facets of the cones and the lattice.
-std::vector<Direction<AcquisitionSpace>> smoothNormals(const AcquisitionMesh& mesh) {
-  AcquisitionMesh smooth{mesh.positions, mesh.triangles, {}};
-  std::vector<Vec3> sum(mesh.positions.size());
-  std::vector<int> count(mesh.positions.size());
-  const Vec3 base = mesh.positions[0].raw();
-  for (int step = 0; step < 2 * kSmoothing; ++step) {
-    const double weight = step % 2 == 0 ? 0.5 : -0.53;
-    std::fill(sum.begin(), sum.end(), Vec3{});
-    std::fill(count.begin(), count.end(), 0);
-    for (const Triangle& t : mesh.triangles)
-      for (int k = 0; k < 3; ++k) {
-        sum[t[k]] += smooth.positions[t[(k + 1) % 3]].raw() - base;
-        ++count[t[k]];
-      }
-    for (std::size_t i = 0; i < sum.size(); ++i) {
-      const Vec3 p = smooth.positions[i].raw() - base;
-      smooth.positions[i] = Point3(base + p + weight * (sum[i] / count[i] - p));
-    }
-  }
-  return vertexNormals(smooth);
-}
-
 }  // namespace
 
 VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullOptions& options, Reporter& reporter) {
@@ -358,7 +334,8 @@ VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullO
   hull.mesh = carve(used, options.tolerance, tight, hull.cell, reporter);
   if (hull.mesh.triangles.empty()) throw nothingLeft(used, options.bounds);
   dropDust(hull.mesh, reporter);
-  hull.mesh.normals = smoothNormals(hull.mesh);
+  // Normals of a smoothed copy: those of the carved surface carry the facets of the cones and the lattice.
+  hull.mesh.normals = vertexNormals(smoothed(hull.mesh, kSmoothing));
 
   hull.views = silhouetteConsistency(hull.mesh, views);
   for (std::size_t i = 0; i < views.size(); ++i) hull.views[i].excluded = excluded[i];

@@ -5,6 +5,8 @@
 #include <unordered_set>
 #include <utility>
 
+#include "base/parallel.h"
+
 namespace srf {
 namespace {
 
@@ -39,21 +41,35 @@ Vec3 areaVector(const AcquisitionMesh& mesh, const Triangle& t) {
 
 }  // namespace
 
+VertexCorners::VertexCorners(const AcquisitionMesh& mesh)
+    : first_(mesh.positions.size() + 1, 0), corners_(3 * mesh.triangles.size()) {
+  for (const Triangle& t : mesh.triangles)
+    for (const std::uint32_t v : t) ++first_[v + 1];
+  for (std::size_t v = 1; v < first_.size(); ++v) first_[v] += first_[v - 1];
+  std::vector<std::uint32_t> next(first_.begin(), first_.end() - 1);
+  for (std::uint32_t i = 0; i < mesh.triangles.size(); ++i)
+    for (std::uint32_t k = 0; k < 3; ++k) corners_[next[mesh.triangles[i][k]]++] = 3 * i + k;
+}
+
 std::vector<Direction<AcquisitionSpace>> vertexNormals(const AcquisitionMesh& mesh) {
-  std::vector<Vector<AcquisitionSpace>> sum(mesh.positions.size());
-  for (const Triangle& t : mesh.triangles) {
-    const Vec3 area = areaVector(mesh, t);
-    const double size = length(area);
-    if (!(size > 0) || !std::isfinite(size)) continue;
-    for (int i = 0; i < 3; ++i) {
-      const Vec3 corner = mesh.positions[t[i]].raw();
-      const Vec3 to_next = mesh.positions[t[(i + 1) % 3]].raw() - corner;
-      const Vec3 to_last = mesh.positions[t[(i + 2) % 3]].raw() - corner;
-      sum[t[i]] += Vector<AcquisitionSpace>((std::atan2(size, dot(to_next, to_last)) / size) * area);
+  const VertexCorners corners(mesh);
+  std::vector<Direction<AcquisitionSpace>> normals(mesh.positions.size());
+  parallelFor(normals.size(), 4096, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t v = begin; v < end; ++v) {
+      Vector<AcquisitionSpace> sum;
+      for (const std::uint32_t corner : corners.at(v)) {
+        const Triangle& t = mesh.triangles[corner / 3];
+        const Vec3 area = areaVector(mesh, t);
+        const double size = length(area);
+        if (!(size > 0) || !std::isfinite(size)) continue;
+        const Vec3 here = mesh.positions[v].raw();
+        const Vec3 to_next = mesh.positions[t[(corner + 1) % 3]].raw() - here;
+        const Vec3 to_last = mesh.positions[t[(corner + 2) % 3]].raw() - here;
+        sum += Vector<AcquisitionSpace>((std::atan2(size, dot(to_next, to_last)) / size) * area);
+      }
+      normals[v] = normalize(sum).value_or(Direction<AcquisitionSpace>());
     }
-  }
-  std::vector<Direction<AcquisitionSpace>> normals(sum.size());
-  for (std::size_t i = 0; i < sum.size(); ++i) normals[i] = normalize(sum[i]).value_or(Direction<AcquisitionSpace>());
+  });
   return normals;
 }
 
@@ -137,6 +153,31 @@ double meshArea(const AcquisitionMesh& mesh) {
   double sum = 0;
   for (const Triangle& t : mesh.triangles) sum += 0.5 * length(areaVector(mesh, t));
   return sum;
+}
+
+AcquisitionMesh smoothed(const AcquisitionMesh& mesh, int steps) {
+  constexpr double kShrink = 0.5, kGrow = -0.53;
+  const VertexCorners corners(mesh);
+  AcquisitionMesh result{mesh.positions, mesh.triangles, {}};
+  std::vector<Point<AcquisitionSpace>> from(mesh.positions.size());
+  for (int half_step = 0; half_step < 2 * steps; ++half_step) {
+    std::swap(from, result.positions);
+    const double weight = half_step % 2 == 0 ? kShrink : kGrow;
+    parallelFor(from.size(), 4096, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t v = begin; v < end; ++v) {
+        const auto at_vertex = corners.at(v);
+        Vector<AcquisitionSpace> sum;
+        for (const std::uint32_t corner : at_vertex) {
+          // Both neighbours in the triangle: on a closed fan each counts twice, at a border its ends count once.
+          const Triangle& t = mesh.triangles[corner / 3];
+          sum += (from[t[(corner + 1) % 3]] - from[v]) + (from[t[(corner + 2) % 3]] - from[v]);
+        }
+        result.positions[v] =
+            at_vertex.empty() ? from[v] : from[v] + weight / (2.0 * static_cast<double>(at_vertex.size())) * sum;
+      }
+    });
+  }
+  return result;
 }
 
 MeshRepair cleanMesh(AcquisitionMesh& mesh) {

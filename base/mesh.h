@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 #include <filesystem>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -29,6 +30,18 @@ struct TriangleMesh {
 /// A mesh whose space is not stated in the file; readers of capture data name it.
 using AcquisitionMesh = TriangleMesh<AcquisitionSpace>;
 
+/// The triangle corners at each vertex, by rising number; corner c is corner c % 3 of triangle c / 3.
+class VertexCorners {
+ public:
+  explicit VertexCorners(const AcquisitionMesh& mesh);
+  std::span<const std::uint32_t> at(std::size_t vertex) const {
+    return std::span<const std::uint32_t>(corners_).subspan(first_[vertex], first_[vertex + 1] - first_[vertex]);
+  }
+
+ private:
+  std::vector<std::uint32_t> first_, corners_;
+};
+
 /// Vertex normals weighted by the corner angles (Thuermer and Wuethrich 1998); a vertex without area gets +z.
 std::vector<Direction<AcquisitionSpace>> vertexNormals(const AcquisitionMesh& mesh);
 
@@ -47,6 +60,10 @@ std::vector<std::uint32_t> vertexComponents(const AcquisitionMesh& mesh);
 /// Signed volume in units cubed; positive when the winding is outward.
 double meshVolume(const AcquisitionMesh& mesh);
 double meshArea(const AcquisitionMesh& mesh);
+
+/// The mesh with its roughness taken off (Taubin 1995): each step draws the vertices towards the mean of their
+/// neighbours and then pushes them back a little more, so that it neither shrinks nor loses long waves. No normals.
+AcquisitionMesh smoothed(const AcquisitionMesh& mesh, int steps);
 
 /// Counts of what cleanMesh removed or mended.
 struct MeshRepair {
