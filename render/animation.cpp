@@ -1,1 +1,158 @@
-// (written next)
+#include "render/animation.h"
+
+#include <algorithm>
+#include <chrono>
+#include <optional>
+
+#include "base/files.h"
+#include "base/image_io.h"
+#include "render/light_set.h"
+
+namespace srf {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::uint64_t fileHash(const fs::path& file) {
+  const auto bytes = readBinaryFile(file);
+  return contentHash(bytes.data(), bytes.size());
+}
+
+std::set<std::string> checkedLayers(const std::vector<std::string>& asked) {
+  const std::vector<std::string> known = knownLayers();
+  std::string list;
+  for (const std::string& name : known) list += (list.empty() ? "" : ", ") + name;
+  for (const std::string& name : asked) {
+    if (std::find(known.begin(), known.end(), name) != known.end()) continue;
+    const std::string near = nearestWord(name, known);
+    throw Error(ErrorKind::usage,
+                "unknown layer '" + name + "'" + (near.empty() ? "" : "; did you mean '" + near + "'?") +
+                    " (known: " + list + ")",
+                "--aovs");
+  }
+  return {asked.begin(), asked.end()};
+}
+
+/// The mesh whose vertices a mesh sequence moves.
+AcquisitionMesh restMesh(const DeformableModel& model) {
+  return model.kind == ModelKind::surfels ? model.rest_mesh : AcquisitionMesh{model.p0, model.triangles, {}};
+}
+
+/// What a frame's picture depends on, as it stands in the frame's header: --resume keeps a frame that says the same.
+Attributes commonAttributes(const Scene& scene, const SrfManifest& manifest, const fs::path& srf,
+                            const std::set<std::string>& layers) {
+  std::string settings = hexHash(scene.content_hash);
+  for (const std::string& layer : layers) settings += "," + layer;
+  std::string maps;
+  for (const SceneLight& light : scene.lights)
+    if (const auto* environment = std::get_if<EnvironmentLight>(&light)) maps += hexHash(fileHash(environment->map));
+  Attributes attributes;
+  attributes["version"] = SRF_VERSION;
+  attributes["settingsHash"] = hexHash(contentHash(settings.data(), settings.size()));
+  attributes["fieldHash"] = hexHash(fileHash(srf / "manifest.json"));  // holds the hashes of the stores
+  attributes["modelHash"] = hexHash(manifest.model(manifest.active_model)->hash);
+  attributes["environmentHash"] = hexHash(contentHash(maps.data(), maps.size()));
+  return attributes;
+}
+
+bool finished(const fs::path& file, const Attributes& attributes) {
+  if (!fs::exists(file)) return false;
+  try {
+    const Attributes found = readExrAttributes(file);
+    return std::all_of(attributes.begin(), attributes.end(), [&](const auto& entry) {
+      const auto it = found.find(entry.first);
+      return it != found.end() && it->second == entry.second;
+    });
+  } catch (const Error&) {
+    return false;  // damaged: rendered again
+  }
+}
+
+std::size_t writeFrame(const fs::path& file, const Frame& frame, const Attributes& attributes) {
+  static constexpr const char* kNames[] = {"R", "G", "B", "A"};
+  std::vector<ExrChannel> channels;
+  for (int c = 0; c < 4; ++c) channels.push_back({kNames[c], frame.rgba.data().data() + c, 4, false});
+  // Layers hold positions, rotations and numbers of views, for which a half has too few digits.
+  for (const auto& [name, image] : frame.layers) channels.push_back({name, image.data().data(), 1, true});
+  return writeExr(file, frame.rgba.width(), frame.rgba.height(), channels, attributes);
+}
+
+void countPoints(const DeformedStatistics& statistics, int frame, Reporter& reporter) {
+  reporter.count("points.mirrored", statistics.mirrored);
+  reporter.count("points.collapsed", statistics.collapsed);
+  reporter.count("points.not_finite", statistics.not_finite);
+  if (statistics.not_finite > 0)
+    reporter.warn("frame " + std::to_string(frame) + ": the deformation sends " +
+                  std::to_string(statistics.not_finite) +
+                  " points of the model nowhere (NaN or Inf); they are left out");
+}
+
+}  // namespace
+
+std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOptions& options, Reporter& reporter) {
+  const fs::path srf = options.srf.empty() ? scene.srf : options.srf;
+  if (srf.empty()) throw badInput(scene.file.string(), "names no field; add \"srf\" to it or give --srf X.srf");
+  const std::string pattern = options.output.empty() ? scene.output : options.output;
+  if (pattern.empty())
+    throw badInput(scene.file.string(), "names no output; add \"output\" to it or give -o name.####.exr");
+  if (fs::path(pattern).extension() != ".exr")
+    throw badInput("output", "found '" + pattern + "', expected a name that ends in .exr");
+  const std::vector<int>& numbers = options.frames.empty() ? scene.frames : options.frames;
+  const std::set<std::string> layers = checkedLayers(options.layers);
+
+  // Everything that can be wrong is found before the first frame.
+  const SrfManifest manifest = readManifest(srf);
+  const DeformableModel model = loadModel(srf, manifest);
+  const LightSet light_set(scene, manifest, reporter);
+  const AcquisitionMesh rest = scene.deformation.hasSequence() ? restMesh(model) : AcquisitionMesh{};
+  for (const int number : numbers) {
+    scene.cameraAt(number);
+    scene.deformation.at(number);
+    light_set.at(number);
+    if (scene.deformation.hasSequence()) scene.deformation.sequencePositions(number, rest);
+  }
+  if (!numbers.empty()) PartialFile may_write(frameFile(pattern, numbers.front()));
+
+  const Attributes common = commonAttributes(scene, manifest, srf, layers);
+  DeformedModel deformed(model);
+  FrameSettings settings{scene.accuracy, scene.samples, layers, options.memory_bytes};
+  std::optional<FrameRenderer> renderer;  // opened with the first frame that is not kept
+  bool moved = false;
+  std::vector<RenderedFrame> rendered;
+  Reporter::Stage stage(reporter, "render", numbers.size());
+  for (const int number : numbers) {
+    const auto start = std::chrono::steady_clock::now();
+    RenderedFrame result{number, frameFile(pattern, number)};
+    Attributes attributes = common;
+    attributes["frameNumber"] = std::to_string(number);
+    std::optional<std::vector<Point<ObjectSpace>>> sequence;
+    if (scene.deformation.hasSequence()) {
+      sequence = scene.deformation.sequencePositions(number, rest);
+      attributes["sequenceHash"] = hexHash(contentHash(sequence->data(), sequence->size() * sizeof(sequence->front())));
+    }
+    if (options.resume && finished(result.file, attributes)) {
+      result.kept = true;
+    } else {
+      if (!moved || !scene.deformation.constant()) {
+        deformed.deform(scene.deformation.at(number), sequence ? &*sequence : nullptr);
+        countPoints(deformed.statistics(), number, reporter);
+        moved = true;
+      }
+      if (!renderer) renderer.emplace(srf, manifest, model, settings, reporter);
+      const Frame frame = renderer->render(scene.cameraAt(number), deformed, light_set.at(number));
+      attributes["command"] = options.command;
+      attributes["framesPerSecond"] = std::to_string(scene.fps);
+      if (const std::size_t clamped = writeFrame(result.file, frame, attributes)) {
+        reporter.count("pixels.clamped", clamped);
+        reporter.warn(result.file.string() + ": " + std::to_string(clamped) +
+                      " values are beyond the range of half floats (65504) and were clamped; lower the lights");
+      }
+    }
+    result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    rendered.push_back(result);
+    stage.advance();
+  }
+  return rendered;
+}
+
+}  // namespace srf
