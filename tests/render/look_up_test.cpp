@@ -1,1 +1,86 @@
-// (written next)
+#include "render/look_up.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+#include "base/numeric.h"
+
+namespace srf {
+namespace {
+
+SurfaceHit hitWith(const Mat3& r0, const Mat3& jacobian) {
+  SurfaceHit hit;
+  hit.count = 1;
+  hit.p0 = Point<AcquisitionSpace>(1, 2, 3);
+  hit.acquisition_from_tangent = Orthogonal<AcquisitionSpace, TangentSpace>(r0);
+  hit.tangents.u = Vector<ObjectSpace>(jacobian * r0.column(0));
+  hit.tangents.v = Vector<ObjectSpace>(jacobian * r0.column(1));
+  hit.tangents.handedness = determinant(jacobian) < 0 ? -1 : 1;
+  return hit;
+}
+
+Mat3 randomRotation(std::mt19937& random) {
+  std::normal_distribution<double> normal;
+  return rotationFromQuaternion({normal(random), normal(random), normal(random), normal(random)});
+}
+
+void expectNear(const Mat3& a, const Mat3& b, double bound) {
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) EXPECT_NEAR(a.row[i][j], b.row[i][j], bound);
+}
+
+TEST(LookUp, ARigidMotionIsUndoneExactly) {
+  std::mt19937 random(1);
+  for (const FrameMode mode : {FrameMode::bisector, FrameMode::polar})
+    for (int trial = 0; trial < 200; ++trial) {
+      const Mat3 motion = randomRotation(random);
+      const LookUp look_up = lookUp(hitWith(randomRotation(random), motion), mode);
+      expectNear(look_up.acquisition_from_object.raw(), motion.transposed(), 1e-12);
+      EXPECT_EQ(look_up.p.raw(), (Vec3{1, 2, 3}));
+      EXPECT_FALSE(look_up.collapsed);
+    }
+}
+
+TEST(LookUp, AMirrorIsUndoneByAReflection) {
+  std::mt19937 random(2);
+  for (const FrameMode mode : {FrameMode::bisector, FrameMode::polar})
+    for (int trial = 0; trial < 200; ++trial) {
+      const Mat3 mirror = randomRotation(random) * Mat3{{Vec3{-1, 0, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}}};
+      const LookUp look_up = lookUp(hitWith(randomRotation(random), mirror), mode);
+      expectNear(look_up.acquisition_from_object.raw(), mirror.transposed(), 1e-12);
+      EXPECT_NEAR(determinant(look_up.acquisition_from_object), -1, 1e-12);
+    }
+}
+
+TEST(LookUp, AnglesToTheNormalAreKeptUnderAnyDeformation) {
+  std::mt19937 random(3);
+  std::normal_distribution<double> normal;
+  for (int trial = 0; trial < 500; ++trial) {
+    Mat3 jacobian;
+    for (auto& row : jacobian.row) row = {normal(random), normal(random), normal(random)};
+    const SurfaceHit hit = hitWith(randomRotation(random), jacobian);
+    const LookUp look_up = lookUp(hit, FrameMode::bisector);
+    // The outward normal of the deformed surface: the tangents' cross product, turned where the deformation mirrors.
+    const auto n = *normalize(hit.tangents.handedness * cross(hit.tangents.u, hit.tangents.v));
+    const auto direction = *normalize(Vector<ObjectSpace>(normal(random), normal(random), normal(random)));
+    EXPECT_NEAR(dot(look_up.acquisition_from_object * direction, look_up.normal), dot(direction, n), 1e-9);
+    EXPECT_NEAR(length(Vector<AcquisitionSpace>(look_up.acquisition_from_object * direction)), 1, 1e-12);
+  }
+}
+
+TEST(LookUp, CollapsedTangentsAreFlaggedAndFinite) {
+  SurfaceHit hit = hitWith(Mat3{}, Mat3{});
+  for (const auto& [u, v] : {std::pair{Vec3{1, 0, 0}, Vec3{2, 0, 0}}, {Vec3{}, Vec3{0, 1, 0}}, {Vec3{}, Vec3{}}}) {
+    hit.tangents.u = Vector<ObjectSpace>(u);
+    hit.tangents.v = Vector<ObjectSpace>(v);
+    const LookUp look_up = lookUp(hit, FrameMode::bisector);
+    EXPECT_TRUE(look_up.collapsed);
+    for (const Vec3& row : look_up.acquisition_from_object.raw().row) EXPECT_TRUE(isFinite(row));
+    EXPECT_NEAR(std::fabs(determinant(look_up.acquisition_from_object)), 1, 1e-9);
+  }
+}
+
+}  // namespace
+}  // namespace srf

@@ -1,0 +1,215 @@
+#include "render/frame_renderer.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "base/numeric.h"
+#include "base/parallel.h"
+#include "tests/support/formula_field.h"
+#include "tests/support/test_support.h"
+
+namespace srf {
+namespace {
+
+/// A field whose reflectance changes with place, light and view.
+Vec3 patterned(const Vec3& p, const Vec3& l, const Vec3& v) {
+  return {0.3 + 0.2 * std::sin(5 * p.x) + 0.1 * l.z, 0.4 + 0.1 * p.y + 0.2 * std::max(0.0, dot(p, l)), 0.5 + 0.2 * v.x};
+}
+
+class FrameRendererTest : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = std::make_unique<test::TemporaryFolder>();
+    test::FormulaFieldOptions options;
+    options.subdivision = 4;
+    field_ = std::make_unique<test::FormulaField>(test::makeSphereField(*folder_ / "x.srf", options, patterned));
+  }
+  static void TearDownTestSuite() {
+    field_.reset();
+    folder_.reset();
+  }
+  static Camera<ObjectSpace> camera(int size = 40) {
+    Camera<ObjectSpace> camera;
+    camera.lens = pinholeFromFov(size, size, 36);
+    camera.pose = *lookAt(Point<ObjectSpace>(0.5, -5, 1), Point<ObjectSpace>(), Vector<ObjectSpace>(0, 0, 1));
+    return camera;
+  }
+  static Deformation twist() {
+    const char* text = R"([{"type":"twist","axis":[0,0,1],"degrees_per_unit":40}])";
+    return AnimatedDeformation::parse(parseJson(text, "test"), ".", Reporter::silent()).at(0);
+  }
+  /// Many distant lights, a point light.
+  static FrameLights lights() {
+    FrameLights lights;
+    for (int i = 0; i < 40; ++i)
+      lights.distant.push_back({Direction<ObjectSpace>::fromUnit(test::fibonacci(i, 40)), {0.1, 0.1, 0.2}});
+    lights.near_lights.push_back({Point<ObjectSpace>(2, -3, 1), {3, 3, 3}});
+    return lights;
+  }
+  static Frame render(const FrameSettings& settings, const Deformation& psi = twist(),
+                      const FrameLights& lit = lights(), Reporter& reporter = Reporter::silent(),
+                      const test::FormulaField& field = *field_) {
+    DeformedModel deformed(field.model);
+    deformed.deform(psi);
+    FrameRenderer renderer(field.folder, field.manifest, field.model, settings, reporter);
+    return renderer.render(camera(), deformed, lit);
+  }
+
+  static std::unique_ptr<test::TemporaryFolder> folder_;
+  static std::unique_ptr<test::FormulaField> field_;
+};
+std::unique_ptr<test::TemporaryFolder> FrameRendererTest::folder_;
+std::unique_ptr<test::FormulaField> FrameRendererTest::field_;
+
+TEST_F(FrameRendererTest, NeitherThreadsNorMemoryChangeABit) {
+  FrameSettings settings;
+  settings.samples = 3;
+  setThreadCount(1);
+  const Frame want = render(settings);
+  setThreadCount(3);
+  EXPECT_EQ(render(settings).rgba.data(), want.rgba.data());
+  settings.memory_bytes = 1 << 16;  // one block of texels, one block of pixels at a time
+  EXPECT_EQ(render(settings).rgba.data(), want.rgba.data());
+  setThreadCount(0);
+}
+
+TEST_F(FrameRendererTest, TheSecondFrameOfARendererEqualsTheFirst) {
+  DeformedModel deformed(field_->model);
+  deformed.deform(twist());
+  FrameRenderer renderer(field_->folder, field_->manifest, field_->model, {}, Reporter::silent());
+  const Frame first = renderer.render(camera(), deformed, lights());
+  FrameLights others = lights();
+  others.distant.pop_back();
+  EXPECT_NE(renderer.render(camera(), deformed, others).rgba.data(), first.rgba.data());
+  EXPECT_EQ(renderer.render(camera(), deformed, lights()).rgba.data(), first.rgba.data());
+}
+
+TEST_F(FrameRendererTest, SharedLightWeightsStayNearTheExactOnes) {
+  FrameSettings settings;
+  settings.accuracy.light_sharing = 0;
+  const Frame exact = render(settings);
+  settings.accuracy.light_sharing = 1;
+  const Frame shared = render(settings);
+  double sum = 0;
+  int count = 0;
+  for (std::size_t i = 0; i < exact.rgba.data().size(); ++i) {
+    if (!(exact.rgba.data()[i] > 0)) continue;
+    sum += std::fabs(shared.rgba.data()[i] / exact.rgba.data()[i] - 1);
+    ++count;
+  }
+  EXPECT_GT(sum, 0) << "nothing was shared";
+  EXPECT_LT(sum / count, 0.003);
+}
+
+TEST_F(FrameRendererTest, LayersShowTheLookUp) {
+  FrameSettings settings;
+  for (const std::string& layer : knownLayers()) settings.layers.insert(layer);
+  const Frame frame = render(settings);
+  const auto at = [&](const std::string& channel, int x, int y) { return frame.layers.at(channel).at(x, y); };
+  int inside = 0;
+  for (int y = 0; y < 40; ++y)
+    for (int x = 0; x < 40; ++x) {
+      if (frame.rgba.at(x, y, 3) == 0) {
+        EXPECT_EQ(at("view.0", x, y), -1);
+        continue;
+      }
+      ++inside;
+      // The sphere's normal is p0; L takes N there, and the direction to the camera to V.
+      const Vec3 p0{at("P0.X", x, y), at("P0.Y", x, y), at("P0.Z", x, y)},
+          p{at("P.X", x, y), at("P.Y", x, y), at("P.Z", x, y)};
+      const Vec3 n{at("N.X", x, y), at("N.Y", x, y), at("N.Z", x, y)},
+          v{at("V.X", x, y), at("V.Y", x, y), at("V.Z", x, y)};
+      const Mat3 l = rotationFromQuaternion({at("L.W", x, y), at("L.X", x, y), at("L.Y", x, y), at("L.Z", x, y)});
+      const Vec3 to_eye = Vec3{0.5, -5, 1} - p;
+      EXPECT_GE(at("L.W", x, y), 0);
+      EXPECT_EQ(at("handedness", x, y), 1);
+      EXPECT_LT(length(l * n - p0 / length(p0)), 0.02);  // the mesh's normals are blended
+      EXPECT_LT(length(l * (to_eye / length(to_eye)) - v), 1e-5);
+      EXPECT_NEAR(at("Z", x, y), length(to_eye), 1e-5);
+      double weights = 0;
+      for (int i = 0; i < 4; ++i) weights += at("view.weight." + std::to_string(i), x, y);
+      EXPECT_NEAR(weights, 1, 1e-6);
+      EXPECT_LT(at("confidence", x, y), 60);
+    }
+  EXPECT_GT(inside, 300);
+  EXPECT_TRUE(render({}).layers.empty());
+}
+
+TEST_F(FrameRendererTest, ACapturedViewUnderACapturedLightIsReproduced) {
+  const StoredView& view = field_->manifest.views[3];
+  Camera<ObjectSpace> same;
+  same.lens = view.camera.lens;
+  same.pose = Rigid<ObjectSpace, CameraSpace>(Orthogonal<ObjectSpace, CameraSpace>(view.camera.pose.rotation().raw()),
+                                              Point<ObjectSpace>(view.camera.center().raw()));
+  FrameLights lit;
+  lit.distant.push_back({Direction<ObjectSpace>::fromUnit(field_->manifest.lights[10].direction.raw()), {1, 1, 1}});
+  DeformedModel deformed(field_->model);
+  FrameRenderer renderer(field_->folder, field_->manifest, field_->model, {}, Reporter::silent());
+  const Frame frame = renderer.render(same, deformed, lit);
+  double sum = 0;
+  int count = 0;
+  for (int y = 0; y < 64; ++y)
+    for (int x = 0; x < 64; ++x) {
+      const auto ray = view.camera.ray({x + 0.5, y + 0.5});
+      const Vec3 o = ray->origin.raw(), d = ray->direction.raw();
+      const double b = dot(o, d), root = b * b - (dot(o, o) - 1);
+      if (root <= 0.05 || frame.rgba.at(x, y, 3) == 0) continue;  // the mesh is a little smaller than the sphere
+      const Vec3 p = o + (-b - std::sqrt(root)) * d;
+      const Vec3 want = patterned(p, field_->manifest.lights[10].direction.raw(), -d);
+      for (int c = 0; c < 3; ++c) sum += square(frame.rgba.at(x, y, c) - want[c]);
+      ++count;
+    }
+  EXPECT_GT(count, 800);
+  EXPECT_GT(-10 * std::log10(sum / (3 * count)), 55);
+}
+
+TEST_F(FrameRendererTest, HitsThatNoViewSeesAreCountedAndKeepTheirAlpha) {
+  test::FormulaField blind = *field_;
+  blind.model.visible = VisibilityBits(blind.model.size(), blind.manifest.views.size());
+  Reporter reporter(ProgressMode::none, LogLevel::error);
+  const Frame stand_in = render({}, {}, lights(), reporter, blind);
+  EXPECT_EQ(reporter.counters()["hits.no_visible_view"], reporter.counters()["hits"]);
+  EXPECT_GT(stand_in.rgba.at(20, 20, 0), 0);
+  // A captured light that no view holds leaves no picture at all.
+  FrameLights unknown;
+  blind.manifest.lights.push_back(blind.manifest.lights[0]);
+  unknown.rest.push_back({LightId{static_cast<std::uint32_t>(blind.manifest.lights.size() - 1)}, 1});
+  const Frame black = render({}, {}, unknown, reporter, blind);
+  EXPECT_GT(reporter.counters()["hits.no_view"], 0u);
+  EXPECT_EQ(black.rgba.at(20, 20, 0), 0);
+  EXPECT_EQ(black.rgba.at(20, 20, 3), 1);
+}
+
+TEST_F(FrameRendererTest, AlphaIsTheShareOfSamplesThatHit) {
+  for (const int samples : {1, 4, 5, 9}) {
+    FrameSettings settings;
+    settings.samples = samples;
+    const Frame frame = render(settings);
+    bool partial = false;
+    for (int i = 0; i < 40 * 40; ++i) {
+      const float alpha = frame.rgba.data()[4 * i + 3];
+      EXPECT_NEAR(alpha * samples, std::round(alpha * samples), 1e-5);
+      partial = partial || (alpha > 0 && alpha < 1);
+    }
+    EXPECT_EQ(partial, samples > 1);
+  }
+}
+
+TEST_F(FrameRendererTest, ADistantLightsStrengthScalesThePictureEvenFarBeyondTheUsual) {
+  const Frame one = render({});
+  for (const double scale : {1e-20, 1e20}) {
+    FrameLights scaled = lights();
+    for (auto& light : scaled.distant) light.irradiance *= scale;
+    for (auto& light : scaled.near_lights) light.intensity *= scale;
+    const Frame frame = render({}, twist(), scaled);
+    for (int i = 0; i < 40 * 40; ++i)
+      for (int c = 0; c < 3; ++c) {
+        const double want = one.rgba.data()[4 * i + c] * scale;
+        EXPECT_NEAR(frame.rgba.data()[4 * i + c], want, 2e-6 * want);
+      }
+  }
+}
+
+}  // namespace
+}  // namespace srf
