@@ -31,9 +31,9 @@ std::vector<double> partVolumes(const std::vector<Point<Space>>& positions, cons
 }
 
 // F = [e1* e2* n*][e1 e2 n]^-1 (M8). The moved normal is stretched as the triangle's size is, so that a uniform scaling
-// gives exactly that scaling.
-Mat3 gradientOf(const Vec3& e1, const Vec3& e2, const Vec3& moved_e1, const Vec3& moved_e2) {
-  const Vec3 n = cross(e1, e2), moved_n = cross(moved_e1, moved_e2);
+// gives exactly that scaling, and points outwards also where the part was mirrored.
+Mat3 gradientOf(const Vec3& e1, const Vec3& e2, const Vec3& moved_e1, const Vec3& moved_e2, int handedness) {
+  const Vec3 n = cross(e1, e2), moved_n = handedness * cross(moved_e1, moved_e2);
   const double twice = length(n), moved_twice = length(moved_n);
   // |n| = 1 at rest, sqrt(area* / area) moved; a triangle squeezed to nothing keeps no normal.
   const Vec3 stretched = moved_twice > 0 ? moved_n / std::sqrt(moved_twice * twice) : Vec3{};
@@ -84,25 +84,10 @@ MeshMotion meshMotion(const AcquisitionMesh& rest, const MeshParts& parts,
                       const std::vector<Point<ObjectSpace>>& moved) {
   const std::size_t count = rest.positions.size();
   SRF_CHECK(moved.size() == count && parts.part_of_vertex.size() == count);
-  std::vector<Mat3> sum(count, 0.0 * Mat3{});
-  std::vector<double> weight(count, 0);
-  for (const auto& t : rest.triangles) {
-    const auto& [a, b, c] = t;
-    const Vec3 e1 = (rest.positions[b] - rest.positions[a]).raw(), e2 = (rest.positions[c] - rest.positions[a]).raw();
-    const double area = 0.5 * length(cross(e1, e2));
-    if (!(area > 0)) continue;
-    const Mat3 gradient = gradientOf(e1, e2, (moved[b] - moved[a]).raw(), (moved[c] - moved[a]).raw());
-    for (const std::uint32_t corner : t) {
-      sum[corner] = sum[corner] + area * gradient;
-      weight[corner] += area;
-    }
-  }
   MeshMotion motion;
-  motion.gradient.resize(count);
   motion.handedness.assign(count, 1);
   const std::vector<double> volume = partVolumes(moved, rest.triangles, parts.part_of_vertex, parts.closed.size());
   for (std::size_t i = 0; i < count; ++i) {
-    motion.gradient[i] = Linear<ObjectSpace, AcquisitionSpace>((1 / weight[i]) * sum[i]);
     const std::uint32_t part = parts.part_of_vertex[i];
     if (!parts.closed[part]) {
       ++motion.unsure;
@@ -110,6 +95,23 @@ MeshMotion meshMotion(const AcquisitionMesh& rest, const MeshParts& parts,
       motion.handedness[i] = -1;
     }
   }
+  std::vector<Mat3> sum(count, 0.0 * Mat3{});
+  std::vector<double> weight(count, 0);
+  for (const auto& t : rest.triangles) {
+    const auto& [a, b, c] = t;
+    const Vec3 e1 = (rest.positions[b] - rest.positions[a]).raw(), e2 = (rest.positions[c] - rest.positions[a]).raw();
+    const double area = 0.5 * length(cross(e1, e2));
+    if (!(area > 0)) continue;
+    const Mat3 gradient =
+        gradientOf(e1, e2, (moved[b] - moved[a]).raw(), (moved[c] - moved[a]).raw(), motion.handedness[a]);
+    for (const std::uint32_t corner : t) {
+      sum[corner] = sum[corner] + area * gradient;
+      weight[corner] += area;
+    }
+  }
+  motion.gradient.resize(count);
+  for (std::size_t i = 0; i < count; ++i)
+    motion.gradient[i] = Linear<ObjectSpace, AcquisitionSpace>((1 / weight[i]) * sum[i]);
   return motion;
 }
 

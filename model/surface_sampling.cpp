@@ -15,7 +15,7 @@ namespace {
 // Candidates for each sample asked for. More of them fill the last gaps and cost time.
 constexpr std::size_t kCandidates = 16;
 // Samples times distance^2 over area once that many darts are thrown (measured; the limit of endless darts is 0.697).
-constexpr double kDensity = 0.66;
+constexpr double kDensity = 0.6;
 // Radius of the discs in distances between samples: 1 would do if every place had been tried; the rest is for the gaps
 // between candidates and for discs that lie askew on a curved surface.
 constexpr double kRadius = 1.15;

@@ -1,1 +1,441 @@
-// (written next)
+#include "model/deformed_model.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+#include <random>
+
+#include "base/parallel.h"
+#include "tests/model/test_shapes.h"
+
+namespace srf {
+namespace {
+
+using test::fieldAround;
+using Rays = std::vector<Ray<ObjectSpace>>;
+
+struct Random {
+  std::mt19937_64 engine{42};
+  double uniform(double lo, double hi) { return lo + (hi - lo) * (static_cast<double>(engine() >> 11) * 0x1p-53); }
+};
+
+DeformableModel modelOf(const AcquisitionMesh& mesh, ModelKind kind = ModelKind::mesh, std::size_t surfels = 3000) {
+  ModelOptions options;
+  options.kind = kind;
+  options.surfels = surfels;
+  return buildModel(mesh, "test", 0, fieldAround(2), options, Reporter::silent());
+}
+Deformation psiOf(const std::string& list) {
+  return AnimatedDeformation::parse(parseJson("[" + list + "]", "scene.json"), ".", Reporter::silent()).at(0);
+}
+// Rays from all around at random points of the ball of radius `aim`.
+Rays raysAt(std::size_t count, double aim = 1.4, double far = 5) {
+  Random random;
+  Rays rays(count);
+  for (auto& ray : rays) {
+    Vec3 from, to;
+    do {
+      from = {random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1)};
+    } while (length(from) > 1 || length(from) < 0.1);
+    to = aim * Vec3{random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1)};
+    from = far / length(from) * from;
+    ray = {Point<ObjectSpace>(from), *normalize(Vector<ObjectSpace>(to - from))};
+  }
+  return rays;
+}
+std::vector<SurfaceHit> hitsOf(const DeformedModel& model, const Rays& rays) {
+  std::vector<SurfaceHit> hits(rays.size());
+  model.intersect(rays, hits);
+  return hits;
+}
+// Eq. 10.
+Mat3 lookUpOf(const SurfaceHit& hit, FrameMode mode = FrameMode::bisector) {
+  return (hit.acquisition_from_tangent * deformedFrame(hit.tangents, mode).tangent_from_space).raw();
+}
+double differenceOf(const Mat3& a, const Mat3& b) {
+  double most = 0;
+  for (int i = 0; i < 3; ++i) most = std::fmax(most, length(a.row[i] - b.row[i]));
+  return most;
+}
+std::size_t hitCount(const std::vector<SurfaceHit>& hits) {
+  std::size_t count = 0;
+  for (const auto& hit : hits) count += hit.count > 0;
+  return count;
+}
+std::vector<Point<ObjectSpace>> carried(const std::vector<Point<AcquisitionSpace>>& points, const Deformation& psi) {
+  std::vector<Point<ObjectSpace>> moved;
+  for (const auto& p : points) moved.push_back(psi.map(p));
+  return moved;
+}
+
+constexpr const char* kTwist = R"({"type": "twist", "axis": [0,0,1], "degrees_per_unit": 60})";
+constexpr const char* kBend = R"({"type": "bend", "axis": [1,0,0], "toward": [0,0,1], "degrees_per_unit": 20})";
+constexpr const char* kMirror = R"({"type": "affine", "matrix": [[-1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]})";
+constexpr const char* kRigid =
+    R"({"type": "affine", "matrix": [[0,-1,0,0.3],[0.6,0,-0.8,0.1],[0.8,0,0.6,-0.2],[0,0,0,1]]})";
+
+class OfKind : public testing::TestWithParam<ModelKind> {};
+INSTANTIATE_TEST_SUITE_P(DeformedModel, OfKind, testing::Values(ModelKind::mesh, ModelKind::surfels),
+                         [](const auto& info) { return info.param == ModelKind::mesh ? "Mesh" : "Surfels"; });
+
+TEST_P(OfKind, RestPoseGivesTheIdentity) {
+  const DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  const DeformedModel rest(model);
+  const auto hits = hitsOf(rest, raysAt(3000));
+  ASSERT_GT(hitCount(hits), 500u);
+  for (const SurfaceHit& hit : hits) {
+    if (hit.count == 0) continue;
+    for (const FrameMode mode : {FrameMode::bisector, FrameMode::polar})
+      ASSERT_LE(differenceOf(lookUpOf(hit, mode), Mat3{}), 1e-12);
+    ASSERT_LE(length(hit.p0.raw() - hit.p_star.raw()), 1e-15);
+    ASSERT_EQ(hit.tangents.handedness, 1);
+  }
+}
+
+TEST_P(OfKind, RigidMotionIsUndoneByTheLookUp) {
+  const DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  DeformedModel deformed(model);
+  const Deformation psi = psiOf(kRigid);
+  deformed.deform(psi);
+  const Mat3 motion = psi.jacobian({}).raw();
+  for (const SurfaceHit& hit : hitsOf(deformed, raysAt(3000))) {
+    if (hit.count == 0) continue;
+    ASSERT_LE(differenceOf(lookUpOf(hit), motion.transposed()), 1e-12);
+    ASSERT_LE(length(psi.map(hit.p0).raw() - hit.p_star.raw()), 1e-14);
+  }
+}
+
+TEST_P(OfKind, MirrorMakesTheLookUpImproper) {
+  const DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  DeformedModel deformed(model);
+  deformed.deform(psiOf(kMirror));
+  EXPECT_EQ(deformed.statistics().mirrored, model.size());
+  const Mat3 mirror{{Vec3{-1, 0, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}}};
+  for (const SurfaceHit& hit : hitsOf(deformed, raysAt(2000))) {
+    if (hit.count == 0) continue;
+    ASSERT_EQ(hit.tangents.handedness, -1);
+    ASSERT_LE(differenceOf(lookUpOf(hit), mirror), 1e-12);
+  }
+}
+
+TEST_P(OfKind, HitsInvertTheDeformationToTheSizeOfATriangle) {
+  const DeformableModel model = modelOf(test::torus(120, 60), GetParam(), 12000);
+  const double size = GetParam() == ModelKind::mesh ? 2 * kPi / 120 * 1.4 : model.radius[0];
+  for (const std::string& list : {std::string(kTwist), std::string(kBend)}) {
+    DeformedModel deformed(model);
+    const Deformation psi = psiOf(list);
+    deformed.deform(psi);
+    for (const SurfaceHit& hit : hitsOf(deformed, raysAt(3000))) {
+      if (hit.count == 0) continue;
+      // Second order in the size: half of |D^2 Psi|, which stays under 4 per unit here.
+      ASSERT_LE(length(psi.map(hit.p0).raw() - hit.p_star.raw()), 2 * size * size);
+      // And close to the frame of the exact carried tangents there.
+      const Mat3 r0 = hit.acquisition_from_tangent.raw(), j = psi.jacobian(hit.p0).raw();
+      const auto exact = deformedFrame(
+          Tangents<ObjectSpace>{Vector<ObjectSpace>(j * r0.column(0)), Vector<ObjectSpace>(j * r0.column(1)), 1},
+          FrameMode::bisector);
+      ASSERT_LE(differenceOf(lookUpOf(hit), r0 * exact.tangent_from_space.raw()), 2 * size);
+    }
+  }
+}
+
+TEST_P(OfKind, WeightsFallAndSumToOne) {
+  const DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  DeformedModel deformed(model);
+  deformed.deform(psiOf(kTwist));
+  for (const SurfaceHit& hit : hitsOf(deformed, raysAt(3000))) {
+    double sum = 0;
+    for (int i = 0; i < hit.count; ++i) {
+      ASSERT_GE(hit.weight[i], 0);
+      ASSERT_LT(hit.point[i], model.size());
+      ASSERT_TRUE(i == 0 || hit.weight[i] <= hit.weight[i - 1]);
+      sum += hit.weight[i];
+    }
+    ASSERT_NEAR(sum, hit.count > 0, 1e-6);
+  }
+}
+
+TEST_P(OfKind, PhasesOfNeighboursDoNotMatter) {
+  // Every point's (u0, v0) turned about its normal by any angle: L at rest stays the identity, and the normal of the
+  // blended frame stays that of the surface.
+  DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  Random random;
+  for (Vec3& r0 : model.r0)
+    r0 = rodriguesFromRotation(Orthogonal<AcquisitionSpace, TangentSpace>(
+        rotationFromRodrigues(r0).raw() * rotationAbout({0, 0, 1}, random.uniform(-kPi, kPi))));
+  const auto normalOf = [&model](std::uint32_t i) { return rotationFromRodrigues(model.r0[i]).raw().column(2); };
+  const DeformedModel rest(model);
+  for (const SurfaceHit& hit : hitsOf(rest, raysAt(3000))) {
+    if (hit.count == 0) continue;
+    ASSERT_LE(differenceOf(lookUpOf(hit), Mat3{}), 1e-12);
+    Vec3 normal;
+    for (int i = 0; i < hit.count; ++i) normal += double{hit.weight[i]} * normalOf(hit.point[i]);
+    normal = normal / length(normal);
+    double spread = 0;
+    for (int i = 0; i < hit.count; ++i) spread = std::max(spread, angleBetweenUnit(normalOf(hit.point[i]), normal));
+    // Phases up to 60 degrees apart blend unevenly, which tilts the plane by less than its normals differ.
+    ASSERT_LE(angleBetweenUnit(hit.acquisition_from_tangent.raw().column(2), normal), spread + 1e-6);
+  }
+}
+
+TEST_P(OfKind, AThousandFramesLaterTheRestPoseIsExact) {
+  const DeformableModel model = modelOf(test::torus(30, 15), GetParam(), 500);
+  const Rays rays = raysAt(300);
+  const DeformedModel rest(model);
+  DeformedModel moving(model);
+  for (int frame = 0; frame < 1000; ++frame)
+    moving.deform(psiOf(R"({"type": "twist", "axis": [0,0,1], "degrees_per_unit": )" + std::to_string(frame) + "}"));
+  moving.deform(Deformation());
+  ASSERT_EQ(moving.positions(), rest.positions());
+  const auto a = hitsOf(moving, rays), b = hitsOf(rest, rays);
+  for (std::size_t i = 0; i < rays.size(); ++i) {
+    ASSERT_EQ(a[i].count > 0, b[i].count > 0);
+    // A refitted tree may meet a shared edge from its other triangle: the place agrees, not the triangle.
+    ASSERT_TRUE(a[i].count == 0 || distance(a[i].p0, b[i].p0) <= 1e-6);
+  }
+}
+
+TEST_P(OfKind, ThreadsDoNotChangeABit) {
+  const DeformableModel model = modelOf(test::torus(120, 60), GetParam(), 6000);
+  const Rays rays = raysAt(500);
+  std::vector<SurfaceHit> hits[2];
+  for (const int threads : {1, 4}) {
+    setThreadCount(threads);
+    DeformedModel deformed(model);
+    deformed.deform(psiOf(kTwist));
+    hits[threads > 1] = hitsOf(deformed, rays);
+  }
+  setThreadCount(0);
+  for (std::size_t i = 0; i < rays.size(); ++i) {
+    ASSERT_EQ(hits[0][i].count, hits[1][i].count);
+    if (hits[0][i].count == 0) continue;
+    ASSERT_EQ(hits[0][i].p0, hits[1][i].p0);
+    ASSERT_EQ(hits[0][i].p_star, hits[1][i].p_star);
+    ASSERT_EQ(hits[0][i].acquisition_from_tangent.raw(), hits[1][i].acquisition_from_tangent.raw());
+    ASSERT_EQ(hits[0][i].tangents.u, hits[1][i].tangents.u);
+  }
+}
+
+TEST_P(OfKind, ScaleAndWorldOffsetChangeNothing) {
+  const DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  const Rays rays = raysAt(2000);
+  const auto rest_hits = hitsOf(DeformedModel(model), rays);
+  const auto number = [](double x) { return std::to_string(x); };
+  for (const auto& [scale, offset] : {std::pair{1e-6, 0.0}, {1e6, 0.0}, {1.0, 1e6}}) {
+    // std::to_string would lose 1e-6.
+    const std::string s = scale == 1e-6 ? "1e-6" : number(scale), o = number(offset);
+    DeformedModel deformed(model);
+    deformed.deform(psiOf(R"({"type": "affine", "matrix": [[)" + s + ",0,0," + o + "],[0," + s + ",0," + o + "],[0,0," +
+                          s + "," + o + "],[0,0,0,1]]}"));
+    Rays moved = rays;
+    for (auto& ray : moved) ray.origin = Point<ObjectSpace>(scale * ray.origin.raw() + Vec3{offset, offset, offset});
+    const auto hits = hitsOf(deformed, moved);
+    std::size_t different = 0;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+      different += (hits[i].count > 0) != (rest_hits[i].count > 0);
+      if (hits[i].count == 0 || rest_hits[i].count == 0) continue;
+      different += length(hits[i].p0.raw() - rest_hits[i].p0.raw()) > 1e-4;
+      ASSERT_LE(differenceOf(lookUpOf(hits[i]), Mat3{}), 1e-12);
+    }
+    EXPECT_LE(different, 4u) << scale << " " << offset;  // rays that graze the silhouette
+  }
+}
+
+// A map that sends everything beyond x = 0.5 nowhere.
+class Hole final : public SpaceMap {
+ public:
+  explicit Hole(double nowhere) : nowhere_(nowhere) {}
+  Vec3 map(const Vec3& p) const override { return p.x > 0.5 ? Vec3{p.x, nowhere_, p.z} : p; }
+  Mat3 jacobian(const Vec3& p) const override { return p.x > 0.5 ? nowhere_ * Mat3{} : Mat3{}; }
+  double lengthScale() const override { return 1; }
+
+ private:
+  double nowhere_;
+};
+
+TEST_P(OfKind, PointsSentNowhereAreDroppedAndCounted) {
+  const DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  std::size_t beyond = 0;
+  for (const auto& p : model.p0) beyond += p.raw().x > 0.5;
+  for (const double nowhere : {std::nan(""), double{INFINITY}, -1e300}) {
+    DeformedModel deformed(model);
+    deformed.deform(Deformation({std::make_shared<Hole>(nowhere)}));
+    EXPECT_EQ(deformed.statistics().not_finite, beyond);
+    const auto hits = hitsOf(deformed, raysAt(3000));
+    EXPECT_GT(hitCount(hits), 300u);
+    for (const SurfaceHit& hit : hits) {
+      if (hit.count == 0) continue;
+      EXPECT_TRUE(isFinite(hit.p0) && isFinite(hit.p_star) && std::isfinite(hit.distance));
+      EXPECT_LE(differenceOf(lookUpOf(hit), Mat3{}), 1e-12);
+      EXPECT_LE(hit.p0.raw().x, 0.5 + 0.3);
+    }
+    EXPECT_FALSE(deformed.bounds().empty());
+    EXPECT_LT(deformed.bounds().diameter(), 10);
+    // And back again.
+    deformed.deform(Deformation());
+    EXPECT_EQ(deformed.statistics().not_finite, 0u);
+    EXPECT_EQ(hitCount(hitsOf(deformed, raysAt(3000))), hitCount(hitsOf(DeformedModel(model), raysAt(3000))));
+  }
+}
+
+TEST_P(OfKind, CollapsedPointsAreCountedAndNeverNaN) {
+  // The taper collapses the plane z = 0.2 to a point of the axis, the other flattens the whole object.
+  const DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  for (
+      const std::string list :
+      {R"({"type": "taper", "axis": [0,0,1], "per_unit": -5})",
+       R"({"type": "affine", "matrix": [[1e-30,0,0,0],[0,1e-30,0,0],[0,0,1,0],[0,0,0,1]]})",
+       R"({"type": "wave", "axis": [1,0,0], "direction": [1,0,0], "amplitude": 0.15915494309189535, "wavelength": 1})"}) {
+    DeformedModel deformed(model);
+    deformed.deform(psiOf(list));
+    for (const SurfaceHit& hit : hitsOf(deformed, raysAt(2000))) {
+      if (hit.count == 0) continue;
+      const Mat3 l = lookUpOf(hit);
+      ASSERT_TRUE(isFinite(l.row[0]) && isFinite(l.row[1]) && isFinite(l.row[2]));
+      ASSERT_TRUE(isFinite(hit.p0) && isFinite(hit.p_star));
+    }
+  }
+  DeformedModel flat(model);
+  flat.deform(psiOf(R"({"type": "affine", "matrix": [[1e-30,0,0,0],[0,1e-30,0,0],[0,0,1,0],[0,0,0,1]]})"));
+  EXPECT_GT(flat.statistics().collapsed, model.size() / 2);
+}
+
+TEST_P(OfKind, FoldsAreCounted) {
+  const DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  DeformedModel deformed(model);
+  // Beyond x = 1 / k = 0.573 the bend turns space inside out.
+  deformed.deform(psiOf(R"({"type": "bend", "axis": [0,0,1], "toward": [1,0,0], "degrees_per_unit": 100})"));
+  std::size_t beyond = 0;
+  for (const auto& p : model.p0) beyond += p.raw().x > 1 / radians(100);
+  EXPECT_EQ(deformed.statistics().mirrored, beyond);
+}
+
+TEST_P(OfKind, MeshSequenceThatMovesRigidlyEqualsTheMotion) {
+  const DeformableModel model = modelOf(test::torus(60, 30), GetParam());
+  const AcquisitionMesh rest = model.restMesh();
+  for (const std::string& list : {std::string(kRigid), std::string(kMirror)}) {
+    const Deformation psi = psiOf(list);
+    const auto moved = carried(rest.positions, psi);
+    DeformedModel by_map(model), by_sequence(model);
+    // The maps of space apply on top of the sequence.
+    by_map.deform(psiOf(list + "," + kTwist));
+    by_sequence.deform(psiOf(kTwist), &moved);
+    EXPECT_EQ(by_sequence.statistics().unsure_handedness, 0u);
+    EXPECT_EQ(by_sequence.statistics().mirrored, list == kMirror ? model.size() : 0u);
+    const Rays rays = raysAt(2000);
+    const auto a = hitsOf(by_map, rays), b = hitsOf(by_sequence, rays);
+    std::size_t different = 0;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+      different += (a[i].count > 0) != (b[i].count > 0);
+      if (a[i].count == 0 || b[i].count == 0) continue;
+      different += distance(a[i].p0, b[i].p0) > 1e-4 || differenceOf(lookUpOf(a[i]), lookUpOf(b[i])) > 1e-4;
+    }
+    EXPECT_LE(different, 4u);
+    // Point by point the agreement is to rounding.
+    for (std::size_t i = 0; i < model.size(); ++i)
+      ASSERT_LE(distance(by_map.positions()[i], by_sequence.positions()[i]), 1e-6);
+  }
+}
+
+TEST_P(OfKind, MeshSequenceApproachesTheMapItSamples) {
+  const DeformableModel model = modelOf(test::torus(160, 80), GetParam(), 10000);
+  const AcquisitionMesh rest = model.restMesh();
+  const Deformation psi = psiOf(kTwist);
+  const auto moved = carried(rest.positions, psi);
+  DeformedModel by_map(model), by_sequence(model);
+  by_map.deform(psi);
+  by_sequence.deform(Deformation(), &moved);
+  const Rays rays = raysAt(2000);
+  const auto a = hitsOf(by_map, rays), b = hitsOf(by_sequence, rays);
+  double worst = 0;
+  for (std::size_t i = 0; i < rays.size(); ++i)
+    if (a[i].count > 0 && b[i].count > 0 && distance(a[i].p_star, b[i].p_star) < 0.01)
+      worst = std::max(worst, differenceOf(lookUpOf(a[i]), lookUpOf(b[i])));
+  EXPECT_LE(worst, 0.05);  // first order in the triangles' size, 0.04
+}
+
+TEST(DeformedModel, OpenSequenceIsTakenAsUnmirroredAndReported) {
+  AcquisitionMesh open = test::torus(30, 15);
+  open.triangles.resize(open.triangles.size() - 8);
+  const DeformableModel model = modelOf(open);
+  DeformedModel deformed(model);
+  const auto moved = carried(open.positions, psiOf(kMirror));
+  deformed.deform(Deformation(), &moved);
+  EXPECT_EQ(deformed.statistics().unsure_handedness, open.positions.size());
+  EXPECT_EQ(deformed.statistics().mirrored, 0u);
+}
+
+TEST(DeformedModel, OnePartOfASequenceMayBeMirrored) {
+  AcquisitionMesh two = test::torus(30, 15);
+  const std::size_t first = two.positions.size(), first_triangles = two.triangles.size();
+  for (std::size_t i = 0; i < first; ++i) {
+    two.positions.push_back(two.positions[i] + Vector<AcquisitionSpace>(4, 0, 0));
+    two.normals.push_back(two.normals[i]);
+  }
+  for (std::size_t t = 0; t < first_triangles; ++t) {
+    const Triangle& c = two.triangles[t];
+    const auto shift = static_cast<std::uint32_t>(first);
+    two.triangles.push_back({c[0] + shift, c[1] + shift, c[2] + shift});
+  }
+  const DeformableModel model = modelOf(two);
+  std::vector<Point<ObjectSpace>> moved;
+  for (std::size_t i = 0; i < two.positions.size(); ++i) {
+    const Vec3 p = two.positions[i].raw();
+    moved.emplace_back(i < first ? p : Vec3{p.x, p.y, -p.z});
+  }
+  DeformedModel deformed(model);
+  deformed.deform(Deformation(), &moved);
+  EXPECT_EQ(deformed.statistics().mirrored, first);
+}
+
+TEST(Surfels, LeaveNoHoleAtRestOrDeformed) {
+  for (const AcquisitionMesh& mesh : {test::sphere(24), test::torus(80, 40)}) {
+    const DeformableModel triangles = modelOf(mesh), surfels = modelOf(mesh, ModelKind::surfels, 4000);
+    EXPECT_NEAR(static_cast<double>(surfels.size()), 4000, 400);
+    for (const std::string& list : {std::string(), std::string(kTwist), std::string(kBend)}) {
+      DeformedModel by_triangles(triangles), by_surfels(surfels);
+      by_triangles.deform(psiOf(list));
+      by_surfels.deform(psiOf(list));
+      const Rays rays = raysAt(list.empty() ? 100000 : 20000);
+      const auto expected = hitsOf(by_triangles, rays), found = hitsOf(by_surfels, rays);
+      std::size_t holes = 0, tears = 0, met = 0;
+      for (std::size_t i = 0; i < rays.size(); ++i) {
+        if (expected[i].count == 0) continue;
+        ++met;
+        holes += found[i].count == 0;
+        tears += found[i].count > 0 && distance(expected[i].p_star, found[i].p_star) > 0.3;
+      }
+      EXPECT_GT(met, rays.size() / 20);
+      EXPECT_EQ(holes, 0u) << list;
+      EXPECT_LE(static_cast<double>(tears), 2e-3 * static_cast<double>(met)) << list;  // discs beyond the silhouette
+    }
+  }
+}
+
+TEST(Surfels, SitOnTheMeshWithTheirAnchors) {
+  const AcquisitionMesh mesh = test::torus(40, 20);
+  const DeformableModel model = modelOf(mesh, ModelKind::surfels, 2000);
+  for (std::size_t i = 0; i < model.size(); ++i) {
+    const auto& [a, b, c] = model.rest_mesh.triangles[model.anchor_triangle[i]];
+    const auto [b1, b2] = model.anchor_weights[i];
+    const Vec3 p = (1.0 - b1 - b2) * mesh.positions[a].raw() + double{b1} * mesh.positions[b].raw() +
+                   double{b2} * mesh.positions[c].raw();
+    ASSERT_LE(length(p - model.p0[i].raw()), 1e-15);
+    for (std::size_t k = 0; k < i; ++k)
+      ASSERT_GT(distance(model.p0[i], model.p0[k]), 0.8 * model.radius[i]);  // Poisson discs: no crowding
+  }
+}
+
+TEST(Surfels, TheSameInputGivesTheSameSurfels) {
+  const AcquisitionMesh mesh = test::torus(40, 20);
+  setThreadCount(1);
+  const DeformableModel a = modelOf(mesh, ModelKind::surfels, 2000);
+  setThreadCount(0);
+  const DeformableModel b = modelOf(mesh, ModelKind::surfels, 2000);
+  EXPECT_EQ(a.p0, b.p0);
+  EXPECT_EQ(a.r0, b.r0);
+}
+
+}  // namespace
+}  // namespace srf

@@ -1,1 +1,318 @@
-// (written next)
+#include "model/local_frame.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include "base/numeric.h"
+
+namespace srf {
+namespace {
+
+using Frame = Orthogonal<AcquisitionSpace, TangentSpace>;
+constexpr FrameMode kModes[] = {FrameMode::bisector, FrameMode::polar};
+
+struct Random {
+  std::mt19937_64 engine{20251122};
+  double uniform(double lo, double hi) { return lo + (hi - lo) * (static_cast<double>(engine() >> 11) * 0x1p-53); }
+  double gauss() { return std::sqrt(-2 * std::log(uniform(1e-300, 1))) * std::cos(uniform(0, 2 * kPi)); }
+  Vec3 vec() { return {gauss(), gauss(), gauss()}; }
+  Vec3 unit() {
+    const Vec3 a = vec();
+    return a / length(a);
+  }
+  Mat3 rotation() { return rotationAbout(unit(), uniform(-kPi, kPi)); }
+};
+
+double distanceOf(const Mat3& a, const Mat3& b) {
+  double most = 0;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) most = std::fmax(most, std::fabs(a.row[i][j] - b.row[i][j]));
+  return most;
+}
+bool finite(const Mat3& m) {
+  return isFinite(m.row[0]) && isFinite(m.row[1]) && isFinite(m.row[2]);
+}
+// Angle of the rotation between two frames.
+double turnBetween(const Mat3& a, const Mat3& b) {
+  const Mat3 d = a * b.transposed();
+  const Vec3 axis{d.row[2].y - d.row[1].z, d.row[0].z - d.row[2].x, d.row[1].x - d.row[0].y};
+  return std::atan2(length(axis), d.row[0].x + d.row[1].y + d.row[2].z - 1);
+}
+Tangents<ObjectSpace> tangents(const Vec3& u, const Vec3& v, int handedness = 1) {
+  return {Vector<ObjectSpace>(u), Vector<ObjectSpace>(v), handedness};
+}
+// L of Eq. 10 for a point whose rest frame is R0 and that a linear map carries.
+Mat3 lookUpOf(const Mat3& r0, const Mat3& map, FrameMode mode) {
+  const int side = determinant(map) < 0 ? -1 : 1;
+  const auto frame = deformedFrame(tangents(map * r0.column(0), map * r0.column(1), side), mode);
+  EXPECT_FALSE(frame.collapsed);
+  return r0 * frame.tangent_from_space.raw();
+}
+void expectOrthonormal(const Mat3& m, int handedness) {
+  EXPECT_LE(distanceOf(m * m.transposed(), Mat3{}), 1e-14);
+  EXPECT_NEAR(determinant(m), handedness, 1e-14);
+}
+
+TEST(Rodrigues, RoundTripsEveryRotation) {
+  Random random;
+  for (int i = 0; i < 10000; ++i) {
+    // Every magnitude of angle, up to the half turn itself.
+    const double angle = i % 2 ? random.uniform(0, kPi) : kPi - std::pow(10, random.uniform(-16, 0));
+    const Mat3 r = rotationAbout(random.unit(), angle);
+    const Vec3 r0 = rodriguesFromRotation(Frame(r));
+    ASSERT_TRUE(isFinite(r0));
+    const Mat3 back = rotationFromRodrigues(r0).raw();
+    // The guard turns half turns by at most 2e-6 rad; elsewhere rounding alone is left.
+    EXPECT_LE(turnBetween(back, r), angle < kPi - 1e-5 ? 1e-14 : 2e-6);
+    expectOrthonormal(back, 1);
+  }
+}
+
+TEST(Rodrigues, NormalFacingMinusZRoundTrips) {
+  for (const double tilt : {0.0, 1e-8, -1e-8, 1e-16, -1e-16, 1e-4})
+    for (const Vec3& axis : {Vec3{1, 0, 0}, Vec3{0, 1, 0}}) {
+      const auto n = normalize(Vector<AcquisitionSpace>(Vec3{0, 0, -1} + tilt * axis));
+      const Frame frame = restFrame(*n);
+      const Vec3 r0 = rodriguesFromRotation(frame);
+      ASSERT_TRUE(isFinite(r0)) << tilt;
+      EXPECT_LE(turnBetween(rotationFromRodrigues(r0).raw(), frame.raw()), 2e-6) << tilt;
+    }
+}
+
+TEST(Rodrigues, LongVectorsStayFinite) {
+  for (const double size : {0.0, 1e-300, 1e-8, 1.0, 1e8, 1e19, 1e200, 1.7e308}) {
+    const Mat3 r = rotationFromRodrigues({size, -size, 0.5 * size}).raw();
+    ASSERT_TRUE(finite(r)) << size;
+    expectOrthonormal(r, 1);
+  }
+}
+
+TEST(RestFrame, HoldsTheNormalAndTheTangentAskedFor) {
+  Random random;
+  for (int i = 0; i < 1000; ++i) {
+    const auto n = Direction<AcquisitionSpace>::fromUnit(random.unit());
+    const auto t = Direction<AcquisitionSpace>::fromUnit(random.unit());
+    const Mat3 frame = restFrame(n, t).raw();
+    expectOrthonormal(frame, 1);
+    EXPECT_LE(length(frame.column(2) - n.raw()), 1e-15);
+    EXPECT_NEAR(dot(frame.column(1), t.raw()), 0, 1e-14);  // v0 is across the tangent, u0 holds what lies in the plane
+    EXPECT_GT(dot(frame.column(0), t.raw()), 0);
+    // A tangent along the normal says nothing.
+    expectOrthonormal(restFrame(n, n).raw(), 1);
+    expectOrthonormal(restFrame(n, -n).raw(), 1);
+  }
+}
+
+TEST(DeformedFrame, RigidMotionIsGivenBackExactly) {
+  Random random;
+  for (const FrameMode mode : kModes)
+    for (int i = 0; i < 1000; ++i) {
+      const Mat3 r0 = random.rotation(), motion = random.rotation();
+      // L is the inverse of the motion.
+      EXPECT_LE(distanceOf(lookUpOf(r0, motion, mode), motion.transposed()), 1e-12);
+    }
+}
+
+TEST(DeformedFrame, UniformScaleChangesNothing) {
+  Random random;
+  for (const FrameMode mode : kModes)
+    for (const double scale : {1e-300, 1e-150, 1e-6, 1e6, 1e150, 1e300}) {
+      const Mat3 r0 = random.rotation();
+      EXPECT_LE(distanceOf(lookUpOf(r0, scale * Mat3{}, mode), Mat3{}), 1e-12) << scale;
+    }
+}
+
+TEST(DeformedFrame, BisectorMinimisesTheSummedSquaredAngles) {
+  Random random;
+  for (int i = 0; i < 300; ++i) {
+    const Vec3 u = std::pow(10, random.uniform(-8, 8)) * random.vec(), v = random.vec();
+    const auto found = deformedFrame(tangents(u, v), FrameMode::bisector);
+    ASSERT_FALSE(found.collapsed);
+    const Vec3 n = cross(u / length(u), v), n_bar = n / length(n);
+    const Vec3 e1 = u / length(u), e2 = cross(n_bar, e1);
+    const Vec3 v_hat = v / length(v);
+    const auto squared_angles = [&](double phi) {
+      const Vec3 a = std::cos(phi) * e1 + std::sin(phi) * e2, b = cross(n_bar, a);
+      return square(angleBetweenUnit(a, e1)) + square(angleBetweenUnit(b, v_hat));
+    };
+    double best = 0;
+    for (int k = 0; k < 400; ++k) {
+      const double phi = 2 * kPi * k / 400;
+      if (squared_angles(phi) < squared_angles(best)) best = phi;
+    }
+    // Between the kinks the sum is a parabola: its lowest point through three places is exact to rounding. The kinks
+    // lie where u-bar = u or v-bar = v, so the three are taken half a tooth beside them, inside the stretch of the
+    // minimum.
+    const double middle = 0.5 * (std::atan2(dot(v_hat, e2), dot(v_hat, e1)) - kPi / 2);
+    const double h = 0.5 * std::fabs(middle);
+    ASSERT_NEAR(std::remainder(best - middle, 2 * kPi), 0, 2 * kPi / 400);
+    const double low = squared_angles(middle - h), at = squared_angles(middle), high = squared_angles(middle + h);
+    const double phi = middle - 0.5 * h * (high - low) / (high - 2 * at + low);
+    const Vec3 brute = std::cos(phi) * e1 + std::sin(phi) * e2;
+    EXPECT_LE(length(found.tangent_from_space.raw().row[0] - brute), 1e-10);
+  }
+}
+
+TEST(DeformedFrame, SkewIsSplitEvenly) {
+  Random random;
+  for (int i = 0; i < 1000; ++i) {
+    const Vec3 u = std::pow(10, random.uniform(-8, 8)) * random.unit(), v = random.unit();
+    const auto frame = deformedFrame(tangents(u, v), FrameMode::bisector).tangent_from_space.raw();
+    expectOrthonormal(frame, 1);
+    EXPECT_NEAR(angleBetweenUnit(frame.row[0], u / length(u)), angleBetweenUnit(frame.row[1], v), 1e-10);
+  }
+}
+
+TEST(DeformedFrame, PolarIsTheNearestPairAndForgetsThePhase) {
+  Random random;
+  for (int i = 0; i < 300; ++i) {
+    const Mat3 r0 = random.rotation();
+    const Mat3 map = Mat3::fromColumns(random.vec(), random.vec(), random.vec());
+    const Mat3 look_up = lookUpOf(r0, map, FrameMode::polar);
+    const double phase = random.uniform(-kPi, kPi);
+    const Mat3 turned = r0 * rotationAbout({0, 0, 1}, phase);
+    const Mat3 again = lookUpOf(turned, map, FrameMode::polar);
+    // Nearly parallel tangents lose digits as 1 / sine.
+    const Vec3 u = map * r0.column(0), v = map * r0.column(1);
+    const double sine = length(cross(u, v)) / (length(u) * length(v));
+    EXPECT_LE(distanceOf(look_up, again), 1e-10 / std::fmin(1, 100 * sine)) << sine;
+    // No turn about the normal brings the pair nearer to (u, v).
+    const Mat3 frame = r0.transposed() * look_up;
+    const auto nearness = [&](double turn) {
+      const Vec3 a = std::cos(turn) * frame.row[0] + std::sin(turn) * frame.row[1];
+      const Vec3 b = std::cos(turn) * frame.row[1] - std::sin(turn) * frame.row[0];
+      return dot(a, u) + dot(b, v);  // squared distance = constant - 2 x this
+    };
+    for (const double turn : {-1.0, -1e-3, 1e-3, 1.0, kPi}) EXPECT_LT(nearness(turn), nearness(0) * (1 + 1e-15));
+  }
+}
+
+TEST(DeformedFrame, ShearTurnsThePolarFrameByTheKnownAngles) {
+  // theory: polar -2.86, -14.04, -26.57, -45, -63.43 degrees for shears of 0.1 to 4, which is -atan(shear / 2).
+  for (const auto& [shear, angle] :
+       {std::pair{0.1, -2.8624}, {0.5, -14.0362}, {1.0, -26.5651}, {2.0, -45.0}, {4.0, -63.4349}}) {
+    const Mat3 map{{Vec3{1, shear, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}}};
+    const Vec3 u_bar = lookUpOf(Mat3{}, map, FrameMode::polar).transposed() * Vec3{1, 0, 0};
+    EXPECT_NEAR(degrees(std::atan2(u_bar.y, u_bar.x)), angle, 1e-4);
+  }
+}
+
+TEST(DeformedFrame, BisectorDependsOnThePhaseByTheKnownSpread) {
+  // theory: spread over all phases 0.14, 3.4, 11.5, 30, 53 degrees for shears, +-1.2, 3.2, 10.6, 21.0 for stretches.
+  const auto spread = [](const Mat3& map) {
+    double least = 1e9, most = -1e9;
+    for (int k = 0; k < 2000; ++k) {
+      const Mat3 r0 = rotationAbout({0, 0, 1}, kPi * k / 2000);
+      const Vec3 x = lookUpOf(r0, map, FrameMode::bisector).transposed() * Vec3{1, 0, 0};
+      const double angle = degrees(std::atan2(x.y, x.x));
+      least = std::fmin(least, angle), most = std::fmax(most, angle);
+    }
+    return most - least;
+  };
+  for (const auto& [shear, expected] : {std::pair{0.1, 0.14}, {0.5, 3.4}, {1.0, 11.5}, {2.0, 30.0}, {4.0, 53.0}})
+    EXPECT_NEAR(spread({{Vec3{1, shear, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}}}), expected, 0.02 * expected + 0.01) << shear;
+  for (const auto& [ratio, expected] : {std::pair{1.5, 1.2}, {2.0, 3.2}, {4.0, 10.6}, {10.0, 21.0}})
+    EXPECT_NEAR(spread({{Vec3{ratio, 0, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}}}), 2 * expected, 0.12)
+        << ratio;  // one decimal is stated
+}
+
+TEST(DeformedFrame, MirrorGivesTheMirrorItself) {
+  Random random;
+  for (const FrameMode mode : kModes)
+    for (int i = 0; i < 200; ++i) {
+      const Vec3 n = random.unit();
+      Mat3 mirror;  // I - 2 n n^T
+      for (int a = 0; a < 3; ++a) mirror.row[a] -= 2 * n[a] * n;
+      const Mat3 map = mirror * random.rotation();
+      const Mat3 look_up = lookUpOf(random.rotation(), map, mode);
+      EXPECT_NEAR(determinant(look_up), -1, 1e-13);
+      EXPECT_LE(distanceOf(look_up, map.transposed()), 1e-12);
+    }
+}
+
+TEST(DeformedFrame, MirroredPlaneKeepsItsOutwardNormal) {
+  // Psi = diag(-1, 1, 1) on the plane z = 0: u x v points inwards, the outward normal stays +z.
+  const auto frame = deformedFrame(tangents({-1, 0, 0}, {0, 1, 0}, -1), FrameMode::bisector).tangent_from_space.raw();
+  EXPECT_LE(length(frame.row[2] - Vec3{0, 0, 1}), 1e-15);
+  EXPECT_LE(length(frame.row[0] - Vec3{-1, 0, 0}), 1e-15);
+}
+
+TEST(DeformedFrame, NearlyOpposedTangentsKeepTheirFrame) {
+  Random random;
+  for (const FrameMode mode : kModes)
+    for (int i = 0; i < 100; ++i) {
+      const Mat3 turn = random.rotation();
+      const double angle = kPi - 1e-6;
+      const auto frame = deformedFrame(
+          tangents(turn.column(0), std::cos(angle) * turn.column(0) + std::sin(angle) * turn.column(1)), mode);
+      ASSERT_FALSE(frame.collapsed);
+      const Mat3& rows = frame.tangent_from_space.raw();
+      expectOrthonormal(rows, 1);
+      // u and v lie on a line to 1e-6: the bisector is across it, u-bar and v-bar at 45 degrees. Bound: theory 7.8, 9;
+      // the tangents' own rounding, 1e-16 over 1e-6, is 6e-9 degrees.
+      const double half = 0.5 * angle;
+      const Vec3 b = std::cos(half) * turn.column(0) + std::sin(half) * turn.column(1);
+      const Vec3 m = std::sin(half) * turn.column(0) - std::cos(half) * turn.column(1);
+      if (mode == FrameMode::bisector) {
+        EXPECT_LE(degrees(angleBetweenUnit(rows.row[0], std::sqrt(0.5) * (b + m))), 1e-7);
+      }
+      EXPECT_LE(degrees(angleBetweenUnit(rows.row[2], turn.column(2))), 1e-7);
+    }
+}
+
+TEST(DeformedFrame, CollapsedTangentsAreFlaggedAndNeverNaN) {
+  constexpr double kInf = std::numeric_limits<double>::infinity(), kNan = std::numeric_limits<double>::quiet_NaN();
+  const std::vector<Vec3> all{{0, 0, 0},      {1, 0, 0},    {-1, 0, 0},         {0, 1e-300, 0},
+                              {1e300, 0, 0},  {kNan, 0, 0}, {0, kInf, -kInf},   {1e308, 1e308, 1e308},
+                              {5e-324, 0, 0}, {0, 0, -1},   {kNan, kNan, kNan}, {1, 1, 1}};
+  for (const FrameMode mode : kModes)
+    for (const int handedness : {1, -1})
+      for (const Vec3& u : all)
+        for (const Vec3& v : all) {
+          const auto frame = deformedFrame(tangents(u, v, handedness), mode);
+          ASSERT_TRUE(finite(frame.tangent_from_space.raw()));
+          expectOrthonormal(frame.tangent_from_space.raw(), handedness);
+          const bool usable = isFinite(u) && isFinite(v) && length(cross(u * 1e-155, v * 1e-155)) > 0;
+          EXPECT_TRUE(!usable || !frame.collapsed);
+          EXPECT_TRUE(frame.collapsed || (u != v && u != -v && isFinite(u) && isFinite(v)));
+        }
+}
+
+TEST(DeformedFrame, TheFallbackFollowsTheLongerTangent) {
+  const Vec3 along = Vec3{1, 2, 3} / std::sqrt(14.0);
+  for (const double other : {0.0, 0.5, -0.5}) {
+    const auto by_u = deformedFrame(tangents(along, other * along), FrameMode::bisector);
+    EXPECT_TRUE(by_u.collapsed);
+    EXPECT_LE(length(by_u.tangent_from_space.raw().row[0] - along), 1e-15);
+    const auto by_v = deformedFrame(tangents(other * along, along), FrameMode::bisector);
+    EXPECT_TRUE(by_v.collapsed);
+    EXPECT_LE(length(by_v.tangent_from_space.raw().row[1] - along), 1e-15);
+    // Continuous: a little turn of the tangent turns the frame a little.
+    const Vec3 nearby = Vec3{1, 2, 3 + 1e-6} / length(Vec3{1, 2, 3 + 1e-6});
+    const auto beside = deformedFrame(tangents(nearby, other * nearby), FrameMode::bisector);
+    EXPECT_LE(distanceOf(beside.tangent_from_space.raw(), by_u.tangent_from_space.raw()), 1e-5);
+  }
+}
+
+TEST(DeformedFrame, EveryMagnitudeGivesAnOrthonormalFrame) {
+  Random random;
+  for (const FrameMode mode : kModes)
+    for (int i = 0; i < 5000; ++i) {
+      const Vec3 u = std::pow(10, random.uniform(-300, 300)) * random.unit();
+      const Vec3 v = std::pow(10, random.uniform(-300, 300)) * random.unit();
+      const int handedness = i % 2 ? 1 : -1;
+      const auto frame = deformedFrame(tangents(u, v, handedness), mode);
+      EXPECT_FALSE(frame.collapsed);
+      expectOrthonormal(frame.tangent_from_space.raw(), handedness);
+      // Both lie in the tangent plane.
+      const Vec3 v_hat = v / length(v), u_hat = u / length(u);
+      EXPECT_NEAR(dot(frame.tangent_from_space.raw().row[2], u_hat), 0, 1e-12);
+      EXPECT_NEAR(dot(frame.tangent_from_space.raw().row[2], v_hat), 0, 1e-12);
+    }
+}
+
+}  // namespace
+}  // namespace srf
