@@ -42,16 +42,20 @@ Program::Program(const std::string& command, const std::string& description, con
   app_.add_option("--threads", threads_, "most threads to use; 0: all cores")->check(CLI::Range(0, 1024));
   app_.add_option("--memory", memory_text_, "memory budget, e.g. 512M or 4G; default: a quarter of the machine");
   app_.add_option("--log-level", log_level_, "error, warning, info or debug")
-      ->check(CLI::IsMember({"error", "warning", "info", "debug"}))->capture_default_str();
+      ->check(CLI::IsMember({"error", "warning", "info", "debug"}))
+      ->capture_default_str();
   app_.add_option("--progress", progress_, "auto, tty, json, openjd or none")
-      ->check(CLI::IsMember({"auto", "tty", "json", "openjd", "none"}))->capture_default_str();
+      ->check(CLI::IsMember({"auto", "tty", "json", "openjd", "none"}))
+      ->capture_default_str();
   app_.add_option("--stats", stats_file_, "write times, counters and warnings to this JSON file");
   app_.get_formatter()->column_width(34);
 }
 
 int Program::run(int argc, char** argv, const std::function<void(Reporter&)>& body) {
   for (int i = 0; i < argc; ++i) command_line_ += (i ? " " : "") + std::string(i ? argv[i] : "srf " + command_);
-  const auto fail = [&](const std::string& text) { std::fprintf(stderr, "srf %s: %s\n", command_.c_str(), text.c_str()); };
+  const auto fail = [&](const std::string& text) {
+    std::fprintf(stderr, "srf %s: %s\n", command_.c_str(), text.c_str());
+  };
   try {
     app_.parse(argc, argv);
     memory_bytes_ = memory_text_.empty() ? machineMemory() / 4 : parseByteSize(memory_text_);
@@ -72,10 +76,13 @@ int Program::run(int argc, char** argv, const std::function<void(Reporter&)>& bo
     return static_cast<int>(e.kind());
   }
 
-  static const std::map<std::string, ProgressMode> kProgress{{"auto", ProgressMode::automatic}, {"tty", ProgressMode::tty},
-      {"json", ProgressMode::json}, {"openjd", ProgressMode::openjd}, {"none", ProgressMode::none}};
-  static const std::map<std::string, LogLevel> kLevels{{"error", LogLevel::error}, {"warning", LogLevel::warning},
-      {"info", LogLevel::info}, {"debug", LogLevel::debug}};
+  static const std::map<std::string, ProgressMode> kProgress{{"auto", ProgressMode::automatic},
+                                                             {"tty", ProgressMode::tty},
+                                                             {"json", ProgressMode::json},
+                                                             {"openjd", ProgressMode::openjd},
+                                                             {"none", ProgressMode::none}};
+  static const std::map<std::string, LogLevel> kLevels{
+      {"error", LogLevel::error}, {"warning", LogLevel::warning}, {"info", LogLevel::info}, {"debug", LogLevel::debug}};
   Reporter reporter(kProgress.at(progress_), kLevels.at(log_level_));
   installInterruptHandler();
   setThreadCount(threads_);
@@ -110,7 +117,7 @@ void Program::writeStats(const Reporter& reporter, double seconds, int exit_code
   stats["version"] = projectVersion();
   stats["exit_code"] = exit_code;
   stats["seconds"] = seconds;
-  struct rusage usage{};
+  struct rusage usage {};
   ::getrusage(RUSAGE_SELF, &usage);
   stats["peak_memory_bytes"] = static_cast<std::uint64_t>(usage.ru_maxrss) * 1024;
   stats["threads"] = threadCount();
@@ -132,14 +139,24 @@ std::size_t parseByteSize(const std::string& text) {
     used = 0;
   }
   const std::string unit = text.substr(used);
-  static const std::map<std::string, double> kUnits{{"", 1}, {"B", 1}, {"K", 1024.}, {"M", 1048576.}, {"G", 1073741824.},
-      {"T", 1099511627776.}, {"KiB", 1024.}, {"MiB", 1048576.}, {"GiB", 1073741824.}, {"TiB", 1099511627776.}};
+  static const std::map<std::string, double> kUnits{{"", 1},
+                                                    {"B", 1},
+                                                    {"K", 1024.},
+                                                    {"M", 1048576.},
+                                                    {"G", 1073741824.},
+                                                    {"T", 1099511627776.},
+                                                    {"KiB", 1024.},
+                                                    {"MiB", 1048576.},
+                                                    {"GiB", 1073741824.},
+                                                    {"TiB", 1099511627776.}};
   const auto it = kUnits.find(unit);
   if (used == 0 || it == kUnits.end() || !(value > 0) || !(value * it->second < 9e18))
     throw Error(ErrorKind::usage, "found '" + text + "', expected a size such as 512M or 4G");
   return static_cast<std::size_t>(value * it->second);
 }
 
-const char* projectVersion() { return SRF_VERSION; }
+const char* projectVersion() {
+  return SRF_VERSION;
+}
 
 }  // namespace srf

@@ -1,5 +1,5 @@
-// What every command shares: common options, progress, --stats, one place that catches errors and turns them into one line
-// and an exit code (doc: formats, Command line).
+// What every command shares: common options, progress, --stats, one place that catches errors and turns them into one
+// line and an exit code (doc: formats, Command line).
 #pragma once
 
 #include <CLI/CLI.hpp>
@@ -14,7 +14,8 @@ namespace srf {
 
 class Program {
  public:
-  /// `command` as in `srf COMMAND`; `licence` as printed by --version ("Apache-2.0", or "GPL-3.0-or-later (links CGAL)").
+  /// `command` as in `srf COMMAND`; `licence` as printed by --version ("Apache-2.0", or "GPL-3.0-or-later (links
+  /// CGAL)").
   Program(const std::string& command, const std::string& description, const std::string& licence = "Apache-2.0");
 
   CLI::App& app() { return app_; }

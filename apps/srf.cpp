@@ -11,7 +11,10 @@
 
 namespace {
 
-struct Command { const char* name; const char* does; };
+struct Command {
+  const char* name;
+  const char* does;
+};
 constexpr Command kCommands[] = {
     {"synth", "write a synthetic capture by formula, or the exact picture of a scene of it"},
     {"check", "examine a capture and say what is wrong, where, and how to mend it"},
@@ -24,7 +27,10 @@ constexpr Command kCommands[] = {
 };
 
 void printHelp(FILE* out) {
-  std::fputs("Usage: srf COMMAND [options]\n\nTurns photographs of an object under many lights into a model that can be bent, animated and relit.\n\n", out);
+  std::fputs(
+      "Usage: srf COMMAND [options]\n\nTurns photographs of an object under many lights into a model that can be bent, "
+      "animated and relit.\n\n",
+      out);
   for (const Command& c : kCommands) std::fprintf(out, "  %-10s %s\n", c.name, c.does);
   std::fputs("\n`srf COMMAND --help` tells the options of a command.\n", out);
 }

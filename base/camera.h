@@ -1,6 +1,6 @@
-// Cameras with lens distortion. Pixel (0,0) is top left, the centre of the first pixel is (0.5, 0.5); cx, cy in the same
-// coordinates. Camera space: x right, y down, z forward. Files with the OpenGL camera (transforms.json) are turned on
-// reading by diag(1, -1, -1).
+// Cameras with lens distortion. Pixel (0,0) is top left, the centre of the first pixel is (0.5, 0.5); cx, cy in the
+// same coordinates. Camera space: x right, y down, z forward. Files with the OpenGL camera (transforms.json) are turned
+// on reading by diag(1, -1, -1).
 #pragma once
 
 #include <array>
@@ -18,11 +18,12 @@ std::optional<CameraModel> cameraModelFromName(const std::string& name);
 /// Lens and sensor, without a pose.
 struct Intrinsics {
   CameraModel model = CameraModel::pinhole;
-  int width = 0, height = 0;       ///< pixels
-  double fl_x = 0, fl_y = 0;       ///< focal lengths in pixels; ORTHOGRAPHIC: pixels per unit
-  double cx = 0, cy = 0;           ///< principal point in pixels
-  double skew = 0;                 ///< pixels per unit of y/z (k12 of a calibration matrix)
-  double k1 = 0, k2 = 0, k3 = 0, k4 = 0, p1 = 0, p2 = 0;  ///< SIMPLE_RADIAL uses k1; OPENCV k1 k2 p1 p2 k3; FISHEYE k1..k4
+  int width = 0, height = 0;  ///< pixels
+  double fl_x = 0, fl_y = 0;  ///< focal lengths in pixels; ORTHOGRAPHIC: pixels per unit
+  double cx = 0, cy = 0;      ///< principal point in pixels
+  double skew = 0;            ///< pixels per unit of y/z (k12 of a calibration matrix)
+  double k1 = 0, k2 = 0, k3 = 0, k4 = 0, p1 = 0,
+         p2 = 0;  ///< SIMPLE_RADIAL uses k1; OPENCV k1 k2 p1 p2 k3; FISHEYE k1..k4
   friend bool operator==(const Intrinsics&, const Intrinsics&) = default;
 
   bool isOrthographic() const { return model == CameraModel::orthographic; }
@@ -31,9 +32,7 @@ struct Intrinsics {
   std::optional<Vec2> project(const Point<CameraSpace>& p) const;
   /// Direction in camera space through a pixel (the inverse of the distortion by Newton); orthographic: +z.
   std::optional<Direction<CameraSpace>> unproject(const Vec2& pixel) const;
-  bool inside(const Vec2& pixel) const {
-    return pixel.x >= 0 && pixel.y >= 0 && pixel.x <= width && pixel.y <= height;
-  }
+  bool inside(const Vec2& pixel) const { return pixel.x >= 0 && pixel.y >= 0 && pixel.x <= width && pixel.y <= height; }
 };
 
 template <class Space>
@@ -73,9 +72,7 @@ struct Camera {
     return Ray<Space>{pose * Point<CameraSpace>(x, y, 0), pose.rotation() * *d};
   }
   /// Size of one pixel at depth z, in units of the space.
-  double pixelFootprint(double depth) const {
-    return lens.isOrthographic() ? 1 / lens.fl_x : depth / lens.fl_x;
-  }
+  double pixelFootprint(double depth) const { return lens.isOrthographic() ? 1 / lens.fl_x : depth / lens.fl_x; }
 };
 
 /// Pose of a camera at `eye` that looks at `target`, with `up` upwards in the picture. Nothing where the three are

@@ -4,12 +4,12 @@
 #include <cstdio>
 #include <cstdlib>
 
-#define SRF_CHECK(condition)                                                                        \
-  do {                                                                                              \
-    if (!(condition)) {                                                                             \
-      std::fprintf(stderr, "%s:%d: broken promise: %s\n", __FILE__, __LINE__, #condition);          \
-      std::abort();                                                                                 \
-    }                                                                                               \
+#define SRF_CHECK(condition)                                                               \
+  do {                                                                                     \
+    if (!(condition)) {                                                                    \
+      std::fprintf(stderr, "%s:%d: broken promise: %s\n", __FILE__, __LINE__, #condition); \
+      std::abort();                                                                        \
+    }                                                                                      \
   } while (false)
 
 #ifdef NDEBUG

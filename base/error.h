@@ -21,6 +21,8 @@ class Error : public std::runtime_error {
   ErrorKind kind_;
 };
 
-inline Error badInput(const std::string& where, const std::string& what) { return {ErrorKind::bad_input, what, where}; }
+inline Error badInput(const std::string& where, const std::string& what) {
+  return {ErrorKind::bad_input, what, where};
+}
 
 }  // namespace srf

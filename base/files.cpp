@@ -25,7 +25,8 @@ Error systemError(const std::filesystem::path& file, const std::string& action, 
   return {ErrorKind::failed, text, file.string()};
 }
 
-void writeAll(int descriptor, const std::filesystem::path& file, const void* data, std::size_t bytes, std::int64_t offset) {
+void writeAll(int descriptor, const std::filesystem::path& file, const void* data, std::size_t bytes,
+              std::int64_t offset) {
   const char* from = static_cast<const char*>(data);
   while (bytes > 0) {
     const ssize_t n = offset < 0 ? ::write(descriptor, from, bytes) : ::pwrite(descriptor, from, bytes, offset);
@@ -47,7 +48,7 @@ Buffer readWhole(const std::filesystem::path& file) {
     throw badInput(file.string(), std::string("could not be opened: ") + std::strerror(code) +
                                       (code == ENOENT ? "; check the path" : ""));
   }
-  struct stat info{};
+  struct stat info {};
   if (::fstat(descriptor, &info) != 0 || S_ISDIR(info.st_mode)) {
     ::close(descriptor);
     throw badInput(file.string(), "is a folder, expected a file");
@@ -75,7 +76,9 @@ Buffer readWhole(const std::filesystem::path& file) {
 
 }  // namespace
 
-std::string readTextFile(const std::filesystem::path& file) { return readWhole<std::string>(file); }
+std::string readTextFile(const std::filesystem::path& file) {
+  return readWhole<std::string>(file);
+}
 std::vector<std::byte> readBinaryFile(const std::filesystem::path& file) {
   return readWhole<std::vector<std::byte>>(file);
 }

@@ -14,7 +14,9 @@ class Image {
  public:
   Image() = default;
   Image(int width, int height, int channels, T fill = T{})
-      : width_(width), height_(height), channels_(channels),
+      : width_(width),
+        height_(height),
+        channels_(channels),
         data_(static_cast<std::size_t>(width) * height * channels, fill) {}
 
   int width() const { return width_; }

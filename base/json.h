@@ -43,12 +43,12 @@ class JsonNode {
   std::size_t size() const;  ///< of an array; throws on anything else
   JsonNode at(std::size_t index) const;
 
-  double number() const;            ///< finite
-  double positiveNumber() const;    ///< finite and > 0
+  double number() const;          ///< finite
+  double positiveNumber() const;  ///< finite and > 0
   long integer(long least, long most) const;
   std::string string() const;
   bool boolean() const;
-  Vec3 vec3() const;                ///< [x, y, z], finite
+  Vec3 vec3() const;  ///< [x, y, z], finite
   std::vector<double> numbers(std::size_t count) const;
   /// One of the words, as an index; the error lists them.
   std::size_t choice(std::initializer_list<std::string_view> words) const;
@@ -63,7 +63,8 @@ class JsonNode {
 JsonNode readJsonFile(const std::filesystem::path& file);
 /// Parses a string; `name` stands for the file in errors.
 JsonNode parseJson(const std::string& text, const std::string& name);
-/// Sets the value at a JSON pointer (for --set /json/pointer=value); the value is parsed as JSON, else taken as a string.
+/// Sets the value at a JSON pointer (for --set /json/pointer=value); the value is parsed as JSON, else taken as a
+/// string.
 JsonNode withOverride(const JsonNode& root, const std::string& assignment);
 /// Writes beside and renames; numbers keep all their digits.
 void writeJsonFile(const std::filesystem::path& file, const Json& value);

@@ -10,10 +10,18 @@
 namespace srf {
 
 inline constexpr double kPi = std::numbers::pi;
-constexpr double degrees(double radians) { return radians * (180.0 / kPi); }
-constexpr double radians(double degrees) { return degrees * (kPi / 180.0); }
-constexpr double square(double x) { return x * x; }
-constexpr double lerp(double a, double b, double t) { return a + t * (b - a); }
+constexpr double degrees(double radians) {
+  return radians * (180.0 / kPi);
+}
+constexpr double radians(double degrees) {
+  return degrees * (kPi / 180.0);
+}
+constexpr double square(double x) {
+  return x * x;
+}
+constexpr double lerp(double a, double b, double t) {
+  return a + t * (b - a);
+}
 /// 0 at or below `edge0`, 1 at or above `edge1`, a cubic with flat ends in between.
 constexpr double smoothstep(double edge0, double edge1, double x) {
   const double t = std::clamp((x - edge0) / (edge1 - edge0), 0.0, 1.0);

@@ -153,9 +153,11 @@ class EmbreeScene {
     const float x[3] = {t * d[0] - to[0], t * d[1] - to[1], t * d[2] - to[2]};
     // a = ((x cross v) . n) / n.n, b = ((u cross x) . n) / n.n
     const float a = ((x[1] * s.v[2] - x[2] * s.v[1]) * n[0] + (x[2] * s.v[0] - x[0] * s.v[2]) * n[1] +
-                     (x[0] * s.v[1] - x[1] * s.v[0]) * n[2]) / nn;
+                     (x[0] * s.v[1] - x[1] * s.v[0]) * n[2]) /
+                    nn;
     const float b = ((s.u[1] * x[2] - s.u[2] * x[1]) * n[0] + (s.u[2] * x[0] - s.u[0] * x[2]) * n[1] +
-                     (s.u[0] * x[1] - s.u[1] * x[0]) * n[2]) / nn;
+                     (s.u[0] * x[1] - s.u[1] * x[0]) * n[2]) /
+                    nn;
     if (!(a * a + b * b <= cutoff_ * cutoff_)) return false;
     hit = {index, a, b, t};
     return true;
@@ -212,12 +214,16 @@ void RayBackend::setTriangles(std::span<const float> positions_xyz, std::span<co
   scene_ = std::make_unique<EmbreeScene>();
   scene_->setTriangles(positions_xyz, triangles);
 }
-void RayBackend::moveTriangles(std::span<const float> positions_xyz) { scene_->moveTriangles(positions_xyz); }
+void RayBackend::moveTriangles(std::span<const float> positions_xyz) {
+  scene_->moveTriangles(positions_xyz);
+}
 void RayBackend::setSplats(std::span<const RawSplat> splats, float cutoff) {
   scene_ = std::make_unique<EmbreeScene>();
   scene_->setSplats(splats, cutoff);
 }
-void RayBackend::moveSplats(std::span<const RawSplat> splats) { scene_->moveSplats(splats); }
+void RayBackend::moveSplats(std::span<const RawSplat> splats) {
+  scene_->moveSplats(splats);
+}
 
 namespace {
 constexpr std::size_t kPacket = 16;

@@ -25,8 +25,10 @@ std::string jsonText(const std::string& text) {
   std::string out = "\"";
   for (const char c : text) {
     if (c == '"' || c == '\\') out += '\\';
-    if (static_cast<unsigned char>(c) < 0x20) out += ' ';
-    else out += c;
+    if (static_cast<unsigned char>(c) < 0x20)
+      out += ' ';
+    else
+      out += c;
   }
   return out + "\"";
 }
@@ -34,8 +36,10 @@ std::string jsonText(const std::string& text) {
 std::string clock(double seconds) {
   char text[32];
   const long s = static_cast<long>(seconds + 0.5);
-  if (s < 3600) std::snprintf(text, sizeof text, "%ld:%02ld", s / 60, s % 60);
-  else std::snprintf(text, sizeof text, "%ld:%02ld:%02ld", s / 3600, s / 60 % 60, s % 60);
+  if (s < 3600)
+    std::snprintf(text, sizeof text, "%ld:%02ld", s / 60, s % 60);
+  else
+    std::snprintf(text, sizeof text, "%ld:%02ld:%02ld", s / 3600, s / 60 % 60, s % 60);
   return text;
 }
 
@@ -98,7 +102,8 @@ void Reporter::show(const std::string& stage, std::uint64_t done, std::uint64_t 
     case ProgressMode::openjd:
       std::fprintf(stderr, "openjd_status: %s\nopenjd_progress: %.1f\n", stage.c_str(), 100 * share);
       break;
-    default: break;
+    default:
+      break;
   }
   std::fflush(stderr);
 }
@@ -150,15 +155,19 @@ std::map<std::string, double> Reporter::figures() const {
 }
 
 void installInterruptHandler() {
-  struct sigaction action{};
+  struct sigaction action {};
   action.sa_handler = onInterrupt;
   ::sigaction(SIGINT, &action, nullptr);
   ::sigaction(SIGTERM, &action, nullptr);
 }
-bool interruptRequested() { return interrupted != 0; }
+bool interruptRequested() {
+  return interrupted != 0;
+}
 void throwIfInterrupted() {
   if (interrupted) throw Error(ErrorKind::interrupted, "interrupted");
 }
-void setInterruptRequested(bool requested) { interrupted = requested; }
+void setInterruptRequested(bool requested) {
+  interrupted = requested;
+}
 
 }  // namespace srf

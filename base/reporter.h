@@ -54,7 +54,11 @@ class Reporter {
   /// Records a number or text for --stats, e.g. "hull.volume".
   void figure(const std::string& name, double value);
 
-  struct StageTime { std::string name; double seconds; std::uint64_t steps; };
+  struct StageTime {
+    std::string name;
+    double seconds;
+    std::uint64_t steps;
+  };
   std::vector<StageTime> stageTimes() const;
   std::vector<std::string> warnings() const;
   std::map<std::string, std::uint64_t> counters() const;

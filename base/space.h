@@ -21,9 +21,18 @@ class Vector {
   constexpr Vector(double x, double y, double z) : raw_{x, y, z} {}
   constexpr const Vec3& raw() const { return raw_; }
 
-  constexpr Vector& operator+=(const Vector& b) { raw_ += b.raw_; return *this; }
-  constexpr Vector& operator-=(const Vector& b) { raw_ -= b.raw_; return *this; }
-  constexpr Vector& operator*=(double s) { raw_ *= s; return *this; }
+  constexpr Vector& operator+=(const Vector& b) {
+    raw_ += b.raw_;
+    return *this;
+  }
+  constexpr Vector& operator-=(const Vector& b) {
+    raw_ -= b.raw_;
+    return *this;
+  }
+  constexpr Vector& operator*=(double s) {
+    raw_ *= s;
+    return *this;
+  }
   friend constexpr Vector operator+(Vector a, const Vector& b) { return a += b; }
   friend constexpr Vector operator-(Vector a, const Vector& b) { return a -= b; }
   friend constexpr Vector operator-(const Vector& a) { return Vector(-a.raw_); }
@@ -46,7 +55,11 @@ class Direction {
  public:
   constexpr Direction() : raw_{0, 0, 1} {}
   /// For values known to have length 1 (to rounding); everything else goes through normalize.
-  static constexpr Direction fromUnit(const Vec3& unit) { Direction d; d.raw_ = unit; return d; }
+  static constexpr Direction fromUnit(const Vec3& unit) {
+    Direction d;
+    d.raw_ = unit;
+    return d;
+  }
   constexpr const Vec3& raw() const { return raw_; }
   constexpr operator Vector<Space>() const { return Vector<Space>(raw_); }  // NOLINT(google-explicit-constructor)
   constexpr Direction operator-() const { return fromUnit(-raw_); }
@@ -54,9 +67,15 @@ class Direction {
   friend constexpr double dot(const Direction& a, const Direction& b) { return srf::dot(a.raw_, b.raw_); }
   friend constexpr double dot(const Direction& a, const Vector<Space>& b) { return srf::dot(a.raw_, b.raw()); }
   friend constexpr double dot(const Vector<Space>& a, const Direction& b) { return srf::dot(a.raw(), b.raw_); }
-  friend Vector<Space> cross(const Direction& a, const Direction& b) { return Vector<Space>(srf::cross(a.raw_, b.raw_)); }
-  friend Vector<Space> cross(const Direction& a, const Vector<Space>& b) { return Vector<Space>(srf::cross(a.raw_, b.raw())); }
-  friend Vector<Space> cross(const Vector<Space>& a, const Direction& b) { return Vector<Space>(srf::cross(a.raw(), b.raw_)); }
+  friend Vector<Space> cross(const Direction& a, const Direction& b) {
+    return Vector<Space>(srf::cross(a.raw_, b.raw_));
+  }
+  friend Vector<Space> cross(const Direction& a, const Vector<Space>& b) {
+    return Vector<Space>(srf::cross(a.raw_, b.raw()));
+  }
+  friend Vector<Space> cross(const Vector<Space>& a, const Direction& b) {
+    return Vector<Space>(srf::cross(a.raw(), b.raw_));
+  }
   friend constexpr Vector<Space> operator*(double s, const Direction& a) { return Vector<Space>(s * a.raw_); }
 
  private:

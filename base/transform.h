@@ -32,7 +32,9 @@ class Orthogonal {
   constexpr explicit Orthogonal(const Mat3& raw) : raw_(raw) {}
   constexpr const Mat3& raw() const { return raw_; }
   constexpr Orthogonal<From, To> inverse() const { return Orthogonal<From, To>(raw_.transposed()); }
-  friend constexpr Vector<To> operator*(const Orthogonal& m, const Vector<From>& a) { return Vector<To>(m.raw_ * a.raw()); }
+  friend constexpr Vector<To> operator*(const Orthogonal& m, const Vector<From>& a) {
+    return Vector<To>(m.raw_ * a.raw());
+  }
   friend constexpr Direction<To> operator*(const Orthogonal& m, const Direction<From>& a) {
     return Direction<To>::fromUnit(m.raw_ * a.raw());
   }
@@ -51,7 +53,8 @@ template <class To, class From>
 class Rigid {
  public:
   constexpr Rigid() = default;
-  constexpr Rigid(const Orthogonal<To, From>& rotation, const Point<To>& origin) : rotation_(rotation), origin_(origin) {}
+  constexpr Rigid(const Orthogonal<To, From>& rotation, const Point<To>& origin)
+      : rotation_(rotation), origin_(origin) {}
   constexpr const Orthogonal<To, From>& rotation() const { return rotation_; }
   /// Where From's origin lies in To.
   constexpr const Point<To>& origin() const { return origin_; }

@@ -24,17 +24,35 @@ struct Vec3 {
   constexpr Vec3& operator*=(double s) { return *this = {x * s, y * s, z * s}; }
 };
 
-constexpr Vec3 operator+(Vec3 a, const Vec3& b) { return a += b; }
-constexpr Vec3 operator-(Vec3 a, const Vec3& b) { return a -= b; }
-constexpr Vec3 operator-(const Vec3& a) { return {-a.x, -a.y, -a.z}; }
-constexpr Vec3 operator*(Vec3 a, double s) { return a *= s; }
-constexpr Vec3 operator*(double s, Vec3 a) { return a *= s; }
-constexpr Vec3 operator/(const Vec3& a, double s) { return {a.x / s, a.y / s, a.z / s}; }
+constexpr Vec3 operator+(Vec3 a, const Vec3& b) {
+  return a += b;
+}
+constexpr Vec3 operator-(Vec3 a, const Vec3& b) {
+  return a -= b;
+}
+constexpr Vec3 operator-(const Vec3& a) {
+  return {-a.x, -a.y, -a.z};
+}
+constexpr Vec3 operator*(Vec3 a, double s) {
+  return a *= s;
+}
+constexpr Vec3 operator*(double s, Vec3 a) {
+  return a *= s;
+}
+constexpr Vec3 operator/(const Vec3& a, double s) {
+  return {a.x / s, a.y / s, a.z / s};
+}
 /// Component by component: products of colours.
-constexpr Vec3 operator*(const Vec3& a, const Vec3& b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
-constexpr Vec3 operator/(const Vec3& a, const Vec3& b) { return {a.x / b.x, a.y / b.y, a.z / b.z}; }
+constexpr Vec3 operator*(const Vec3& a, const Vec3& b) {
+  return {a.x * b.x, a.y * b.y, a.z * b.z};
+}
+constexpr Vec3 operator/(const Vec3& a, const Vec3& b) {
+  return {a.x / b.x, a.y / b.y, a.z / b.z};
+}
 
-constexpr double dot(const Vec3& a, const Vec3& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+constexpr double dot(const Vec3& a, const Vec3& b) {
+  return a.x * b.x + a.y * b.y + a.z * b.z;
+}
 
 /// a b - c d with an error of at most 1.5 ulp (Kahan): the plain difference loses every digit when the products agree.
 inline double differenceOfProducts(double a, double b, double c, double d) {
@@ -49,10 +67,18 @@ inline Vec3 cross(const Vec3& a, const Vec3& b) {
 }
 
 /// Euclidean length, without overflow or underflow of the squares.
-inline double length(const Vec3& a) { return std::hypot(a.x, a.y, a.z); }
-inline bool isFinite(const Vec3& a) { return std::isfinite(a.x) && std::isfinite(a.y) && std::isfinite(a.z); }
-constexpr double maxComponent(const Vec3& a) { return a.x > a.y ? (a.x > a.z ? a.x : a.z) : (a.y > a.z ? a.y : a.z); }
-constexpr double minComponent(const Vec3& a) { return a.x < a.y ? (a.x < a.z ? a.x : a.z) : (a.y < a.z ? a.y : a.z); }
+inline double length(const Vec3& a) {
+  return std::hypot(a.x, a.y, a.z);
+}
+inline bool isFinite(const Vec3& a) {
+  return std::isfinite(a.x) && std::isfinite(a.y) && std::isfinite(a.z);
+}
+constexpr double maxComponent(const Vec3& a) {
+  return a.x > a.y ? (a.x > a.z ? a.x : a.z) : (a.y > a.z ? a.y : a.z);
+}
+constexpr double minComponent(const Vec3& a) {
+  return a.x < a.y ? (a.x < a.z ? a.x : a.z) : (a.y < a.z ? a.y : a.z);
+}
 
 /// Row-major 3x3 matrix acting on column vectors.
 struct Mat3 {
@@ -66,22 +92,30 @@ struct Mat3 {
   friend constexpr bool operator==(const Mat3&, const Mat3&) = default;
 };
 
-constexpr Vec3 operator*(const Mat3& m, const Vec3& a) { return {dot(m.row[0], a), dot(m.row[1], a), dot(m.row[2], a)}; }
+constexpr Vec3 operator*(const Mat3& m, const Vec3& a) {
+  return {dot(m.row[0], a), dot(m.row[1], a), dot(m.row[2], a)};
+}
 constexpr Mat3 operator*(const Mat3& a, const Mat3& b) {
   return Mat3::fromColumns(a * b.column(0), a * b.column(1), a * b.column(2));
 }
-constexpr Mat3 operator*(double s, const Mat3& m) { return {{s * m.row[0], s * m.row[1], s * m.row[2]}}; }
+constexpr Mat3 operator*(double s, const Mat3& m) {
+  return {{s * m.row[0], s * m.row[1], s * m.row[2]}};
+}
 constexpr Mat3 operator+(const Mat3& a, const Mat3& b) {
   return {{a.row[0] + b.row[0], a.row[1] + b.row[1], a.row[2] + b.row[2]}};
 }
-inline double determinant(const Mat3& m) { return dot(m.row[0], cross(m.row[1], m.row[2])); }
+inline double determinant(const Mat3& m) {
+  return dot(m.row[0], cross(m.row[1], m.row[2]));
+}
 /// Inverse by cofactors; entries are not finite where the determinant is 0.
 inline Mat3 inverse(const Mat3& m) {
   const Vec3 a = cross(m.row[1], m.row[2]), b = cross(m.row[2], m.row[0]), c = cross(m.row[0], m.row[1]);
   return (1.0 / dot(m.row[0], a)) * Mat3::fromColumns(a, b, c);
 }
 /// The matrix of x -> a cross x.
-constexpr Mat3 crossMatrix(const Vec3& a) { return {{Vec3{0, -a.z, a.y}, Vec3{a.z, 0, -a.x}, Vec3{-a.y, a.x, 0}}}; }
+constexpr Mat3 crossMatrix(const Vec3& a) {
+  return {{Vec3{0, -a.z, a.y}, Vec3{a.z, 0, -a.x}, Vec3{-a.y, a.x, 0}}};
+}
 /// Right-handed rotation about the unit vector `axis` by `angle` radians.
 inline Mat3 rotationAbout(const Vec3& axis, double angle) {
   const Mat3 k = crossMatrix(axis);
