@@ -94,15 +94,13 @@ void renderReferences(const ReferenceJob& job, const std::string& command, Repor
 template <class Enum>
 CLI::Option* addChoice(CLI::App& app, const std::string& flag, Enum& value, const std::vector<std::string>& names,
                        const std::string& help) {
-  std::string list;
-  for (const std::string& name : names) list += (list.empty() ? "" : ", ") + name;
   return app
       .add_option_function<std::string>(
           flag,
           [&value, &names](const std::string& word) {
             value = static_cast<Enum>(std::find(names.begin(), names.end(), word) - names.begin());
           },
-          help + ": " + list)
+          help)
       ->check(CLI::IsMember(names))
       ->type_name("NAME")
       ->default_str(names[static_cast<std::size_t>(value)]);
@@ -148,7 +146,7 @@ int run(int argc, char** argv) {
                      "distant lights that stand for an environment map; maps of no more texels are taken whole")
           ->check(CLI::Range(1, 1 << 24))};
   for (CLI::Option* option : of_capture) option->capture_default_str()->excludes(reference);
-  for (CLI::Option* option : of_reference) option->needs(reference);
+  for (CLI::Option* option : of_reference) option->capture_default_str()->needs(reference);
   reference->needs(of_reference.front());
 
   return program.run(argc, argv, [&](Reporter& reporter) {
