@@ -47,7 +47,7 @@ Attributes commonAttributes(const Scene& scene, const SrfManifest& manifest, con
   for (const SceneLight& light : scene.lights)
     if (const auto* environment = std::get_if<EnvironmentLight>(&light)) maps += hexHash(fileHash(environment->map));
   Attributes attributes;
-  attributes["version"] = SRF_VERSION;
+  attributes["software"] = "srf " SRF_VERSION;
   attributes["settingsHash"] = hexHash(contentHash(settings.data(), settings.size()));
   attributes["fieldHash"] = hexHash(fileHash(srf / "manifest.json"));  // holds the hashes of the stores
   attributes["modelHash"] = hexHash(manifest.model(manifest.active_model)->hash);
