@@ -1,1 +1,150 @@
-// (written next)
+#include "field/block_cache.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <random>
+#include <thread>
+
+#include "base/error.h"
+#include "tests/field/store_fixture.h"
+#include "tests/support/test_support.h"
+
+namespace srf {
+namespace {
+
+using test::randomBlock;
+using test::smallGeometry;
+
+class BlockCacheTest : public testing::Test {
+ protected:
+  BlockCacheTest() {
+    for (int view = 0; view < 2; ++view) {
+      const auto file = folder_ / std::to_string(view);
+      test::writeSmallStore(file, geometry_, view == 0);
+      owned_.emplace_back(file);
+    }
+    for (const auto& store : owned_) stores_.push_back(&store);
+  }
+  BlockCache cacheOf(std::size_t blocks) { return BlockCache(stores_, blocks * geometry_.blockBytes()); }
+  BlockCache::Handle get(BlockCache& cache, int tile, std::uint32_t view = 0) const {
+    return cache.get(ViewId{view}, tile % geometry_.tiles_x, tile / geometry_.tiles_x);
+  }
+  bool right(const BlockCache::Handle& handle, int tile) const {
+    const auto expected =
+        tile == 2 ? std::vector<std::uint16_t>(geometry_.blockHalves(), 0) : randomBlock(geometry_, tile);
+    return std::equal(expected.begin(), expected.end(), handle.halves().begin(), handle.halves().end());
+  }
+
+  test::TemporaryFolder folder_;
+  StoreGeometry geometry_ = smallGeometry();
+  std::vector<ReflectanceStore> owned_;
+  std::vector<const ReflectanceStore*> stores_;
+};
+
+TEST_F(BlockCacheTest, HoldsWhatTheStoreHolds) {
+  BlockCache cache = cacheOf(3);
+  for (int round = 0; round < 2; ++round)
+    for (int tile = 0; tile < 8; ++tile) EXPECT_TRUE(right(get(cache, tile, tile % 2), tile));
+}
+
+TEST_F(BlockCacheTest, ReadsABlockOnceWhileItStays) {
+  BlockCache cache = cacheOf(8);
+  for (int round = 0; round < 3; ++round)
+    for (int tile = 3; tile < 8; ++tile) get(cache, tile);
+  const CacheStatistics s = cache.statistics();
+  EXPECT_EQ(s.misses, 5u);
+  EXPECT_EQ(s.hits, 10u);
+  EXPECT_EQ(s.reread, 0u);
+  EXPECT_EQ(s.peak_bytes, 5 * geometry_.blockBytes());
+  EXPECT_GT(s.bytes_read, 0u);
+}
+
+TEST_F(BlockCacheTest, LetsTheLeastRecentlyUsedGo) {
+  BlockCache cache = cacheOf(2);
+  get(cache, 0);
+  get(cache, 1);
+  get(cache, 0);  // now 1 is the oldest
+  get(cache, 3);  // takes the place of 1
+  EXPECT_EQ(cache.statistics().misses, 3u);
+  get(cache, 0);
+  EXPECT_EQ(cache.statistics().misses, 3u);
+  get(cache, 1);
+  const CacheStatistics s = cache.statistics();
+  EXPECT_EQ(s.misses, 4u);
+  EXPECT_EQ(s.reread, 1u);
+  EXPECT_LE(s.peak_bytes, 2 * geometry_.blockBytes());
+}
+
+TEST_F(BlockCacheTest, NeverLetsABlockGoThatIsInUse) {
+  BlockCache cache = cacheOf(1);
+  const auto held = get(cache, 0);
+  const auto* data = held.halves().data();
+  for (int tile = 1; tile < 8; ++tile)
+    EXPECT_TRUE(right(get(cache, tile), tile));  // the holder may go beyond the budget
+  EXPECT_EQ(get(cache, 0).halves().data(), data);
+  EXPECT_TRUE(right(held, 0));
+}
+
+TEST_F(BlockCacheTest, OneBlockLargerThanTheBudgetIsAllowed) {
+  BlockCache cache(stores_, 1);
+  for (int tile = 0; tile < 8; ++tile) EXPECT_TRUE(right(get(cache, tile), tile));
+  EXPECT_EQ(cache.statistics().peak_bytes, geometry_.blockBytes());
+}
+
+TEST_F(BlockCacheTest, ThreadsWaitForEachOtherWhereTheBudgetIsOneBlock) {
+  BlockCache cache = cacheOf(1);
+  std::atomic<int> wrong = 0;
+  {
+    std::vector<std::jthread> threads;
+    for (int t = 0; t < 4; ++t)
+      threads.emplace_back([&, t] {
+        std::mt19937 random(t);
+        for (int i = 0; i < 100; ++i) {
+          const int tile = static_cast<int>(random() % 8);
+          wrong += !right(get(cache, tile, random() % 2), tile);
+        }
+      });
+  }
+  EXPECT_EQ(wrong, 0);
+  EXPECT_EQ(cache.statistics().peak_bytes, geometry_.blockBytes());
+  EXPECT_EQ(cache.statistics().hits + cache.statistics().misses, 400u);
+}
+
+TEST_F(BlockCacheTest, ThreadsThatWantTheSameBlockReadItOnce) {
+  BlockCache cache = cacheOf(8);
+  std::vector<std::jthread> threads;
+  for (int t = 0; t < 8; ++t)
+    threads.emplace_back([&] {
+      for (const int tile : {5, 6, 7}) EXPECT_TRUE(right(get(cache, tile), tile));
+    });
+  threads.clear();
+  EXPECT_EQ(cache.statistics().misses, 3u);
+  EXPECT_EQ(cache.statistics().hits, 21u);
+}
+
+TEST_F(BlockCacheTest, ADamagedBlockIsAnErrorForEveryoneAndBlocksNobody) {
+  const auto file = folder_ / "1";
+  const auto size = std::filesystem::file_size(file);
+  std::filesystem::resize_file(file, size / 4);  // after opening: the index is known, the blocks are gone
+  BlockCache cache = cacheOf(1);
+  std::atomic<int> errors = 0;
+  {
+    std::vector<std::jthread> threads;
+    for (int t = 0; t < 3; ++t)
+      threads.emplace_back([&] {
+        try {
+          get(cache, 7, 1);
+        } catch (const Error&) {
+          ++errors;
+        }
+      });
+  }
+  EXPECT_EQ(errors, 3);
+  EXPECT_TRUE(right(get(cache, 7, 0), 7));
+}
+
+}  // namespace
+}  // namespace srf
