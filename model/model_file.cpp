@@ -116,6 +116,10 @@ DeformableModel parseModel(const std::vector<std::byte>& bytes, const std::strin
   if (model.visible.words().size() != visible.words().size()) throw damaged("'visible' has the wrong length");
   visible.words() = std::move(model.visible.words());
   model.visible = std::move(visible);
+  if (views % 64 != 0)
+    for (std::size_t i = 0; i < model.size(); ++i)
+      if (model.visible.row(i)[views / 64] >> (views % 64) != 0)
+        throw damaged("'visible' names views that are not there");
   checkModel(model, file);
   return model;
 }
