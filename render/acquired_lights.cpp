@@ -14,13 +14,16 @@ struct CubeCell {
 };
 
 CubeCell cubeCell(const Vec3& d, int resolution) {
-  const Vec3 a{std::fabs(d.x), std::fabs(d.y), std::fabs(d.z)};
-  const int axis = a.x >= a.y ? (a.x >= a.z ? 0 : 2) : (a.y >= a.z ? 1 : 2);
-  const double scale = 0.5 * resolution / a[axis], middle = 0.5 * resolution;
-  const auto index = [&](double coordinate) {
-    return std::clamp(static_cast<int>(coordinate * scale + middle), 0, resolution - 1);
+  const double ax = std::fabs(d.x), ay = std::fabs(d.y), az = std::fabs(d.z);
+  const double half = 0.5 * resolution;
+  const auto cell = [&](int axis, double major, double s, double t) {
+    const double scale = half / std::fabs(major);
+    const auto index = [&](double x) { return std::clamp(static_cast<int>(x * scale + half), 0, resolution - 1); };
+    return CubeCell{2 * axis + (major < 0 ? 1 : 0), index(s), index(t)};
   };
-  return {2 * axis + (d[axis] < 0 ? 1 : 0), index(d[(axis + 1) % 3]), index(d[(axis + 2) % 3])};
+  if (ax >= ay && ax >= az) return cell(0, d.x, d.y, d.z);
+  if (ay >= az) return cell(1, d.y, d.z, d.x);
+  return cell(2, d.z, d.x, d.y);
 }
 
 /// Unit vector at face coordinates (s, t) in [-1, 1].

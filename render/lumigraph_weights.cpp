@@ -5,22 +5,30 @@
 
 namespace srf {
 
-double resolutionPenalty(double source_distance, double desired_distance) {
-  if (!(desired_distance > 0)) return 0;
-  return kResolutionPenalty * std::max(0.0, source_distance - desired_distance) / desired_distance;
+namespace {
+
+/// Moves the `count` least to the front, in order. Callers mostly have them there already: then one look at each is
+/// all.
+void leastFirst(std::vector<Penalised>& candidates, std::size_t count) {
+  for (std::size_t i = 1; i < candidates.size(); ++i) {
+    std::size_t at = i;
+    if (at >= count) {
+      if (!(candidates[at] < candidates[count - 1])) continue;
+      std::swap(candidates[at], candidates[count - 1]);
+      at = count - 1;
+    }
+    for (; at > 0 && candidates[at] < candidates[at - 1]; --at) std::swap(candidates[at], candidates[at - 1]);
+  }
 }
 
-double viewPenalty(double angle, double resolution, double usable) {
-  // The floor comes before the division: a captured view that fades out of sight fades, it does not vanish at once.
-  return std::max(angle + resolution, kLeastPenalty) / usable;
-}
+}  // namespace
 
 void lumigraphWeights(std::vector<Penalised>& candidates, int k, std::vector<Weighted>& weights) {
   weights.clear();
   std::erase_if(candidates, [](const Penalised& c) { return !(c.penalty < kPenaltyCap); });
   const std::size_t nearest = std::min<std::size_t>(candidates.size(), k);
   const std::size_t sorted = std::min<std::size_t>(candidates.size(), k + std::size_t{1});
-  std::partial_sort(candidates.begin(), candidates.begin() + sorted, candidates.end());
+  leastFirst(candidates, sorted);
 
   // With k or fewer usable sources the threshold lies far beyond them: nothing jumps when another one appears, and a
   // lone source gets weight 1.

@@ -2,6 +2,7 @@
 // penalty 0 and fall to 0 where a source leaves the set, so that nothing pops. Sources are views or acquired lights.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -25,11 +26,17 @@ struct Weighted {
 };
 
 /// Share of the resolution penalty: 0 where the source is as near as the desired eye or nearer. Distances in units.
-double resolutionPenalty(double source_distance, double desired_distance);
+inline double resolutionPenalty(double source_distance, double desired_distance) {
+  if (!(source_distance > desired_distance && desired_distance > 0)) return 0;
+  return kResolutionPenalty * (source_distance - desired_distance) / desired_distance;
+}
 
 /// P of a view: angle (radians) and resolution, divided by `usable` in [0, 1] (visibility, coverage, field of view,
 /// foreshortening). Continuous down to `usable` = 0, where it is infinite, also at a captured view.
-double viewPenalty(double angle, double resolution, double usable);
+inline double viewPenalty(double angle, double resolution, double usable) {
+  // The floor comes before the division: a captured view that fades out of sight fades, it does not vanish at once.
+  return std::max(angle + resolution, kLeastPenalty) / usable;
+}
 
 /// w = 1/max(P, least) - 1/max(t, least), t = min(P of the (k+1)-th, cap), normalised to sum 1; sources of weight 0 are
 /// left out. Where every weight is 0 the sources that tie at t share alike. `candidates` must hold the k+1 of least

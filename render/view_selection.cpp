@@ -25,10 +25,11 @@ Fetch bilinearFetch(const SourceView& view, const Vec2& pixel) {
   if (!(u > -1 && v > -1 && u < view.geometry.cropWidth() && v < view.geometry.cropHeight())) return fetch;
   // The rounding of a projection must not make one texel two.
   const auto split = [](double at, int& cell) {
-    const double nearest = std::round(at);
+    const double nearest = std::floor(at + 0.5);
     const double snapped = std::fabs(at - nearest) < 1e-6 ? nearest : at;
-    cell = static_cast<int>(std::floor(snapped));
-    return snapped - cell;
+    const double floor = std::floor(snapped);
+    cell = static_cast<int>(floor);
+    return snapped - floor;
   };
   const double fx = split(u, fetch.x), fy = split(v, fetch.y);
   const double bilinear[4] = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
@@ -44,117 +45,107 @@ Fetch bilinearFetch(const SourceView& view, const Vec2& pixel) {
     fetch.covered += bilinear[t];
     denominator += view.black_background ? bilinear[t] * coverage / 255 : bilinear[t];
   }
-  for (int t = 0; t < 4; ++t) fetch.tap[t] = used[t] ? static_cast<float>(bilinear[t] / denominator) : 0.f;
+  const double scale = denominator > 0 ? 1 / denominator : 0;
+  for (int t = 0; t < 4; ++t) fetch.tap[t] = used[t] ? static_cast<float>(bilinear[t] * scale) : 0.f;
   return fetch;
 }
 
 ViewSelection::ViewSelection(std::vector<SourceView> views, const VisibilityBits& visible, int k)
-    : views_(std::move(views)), visible_(visible), k_(k) {
-  for (const SourceView& view : views_) {
-    const bool perspective = !view.camera.lens.isOrthographic();
-    const Vec3 at = perspective ? view.camera.center().raw() : -view.camera.forward().raw();
-    x_.push_back(at.x);
-    y_.push_back(at.y);
-    z_.push_back(at.z);
-    perspective_.push_back(perspective ? 1 : 0);
-  }
+    : views_(std::move(views)), visible_(visible), k_(k) {}
+
+bool ViewSelection::consider(const ViewQuery& query, std::uint32_t view, Candidate& candidate) const {
+  const Camera<AcquisitionSpace>& camera = views_[view].camera;
+  const bool orthographic = camera.lens.isOrthographic();
+  const Vec3 to_view = orthographic ? -camera.forward().raw() : (camera.center() - query.p).raw();
+  const double length = std::sqrt(dot(to_view, to_view));
+  if (!(length > 0)) return false;  // p lies in the camera, or nowhere
+  const Vec3 direction = to_view * (1 / length), chord = direction - query.view.raw();
+  candidate.view = view;
+  candidate.chord = std::sqrt(dot(chord, chord));
+  candidate.resolution = orthographic ? 0 : resolutionPenalty(length, query.eye_distance);
+  candidate.foreshortening = std::pow(std::clamp(dot(query.normal.raw(), direction), kLeastForeshortening, 1.0),getenv("FE")?atof(getenv("FE")):0.5);
+  // The chord to v is at most the angle, and visibility and coverage only add to the penalty. Less some roundings.
+  candidate.bound = viewPenalty(candidate.chord, candidate.resolution, 1) * (1 - 1e-12);
+  return true;
 }
 
-double ViewSelection::usable(const ViewQuery& query, std::uint32_t view, ChosenView& tried) const {
+double ViewSelection::covered(const ViewQuery& query, std::uint32_t view, Fetch& fetch) const {
   const SourceView& source = views_[view];
   const auto projection = source.camera.project(query.p);
   if (!projection) return 0;
   const Vec2& pixel = projection->pixel;
-  const double border =
-      std::min({pixel.x, pixel.y, source.camera.lens.width - pixel.x, source.camera.lens.height - pixel.y});
+  const Intrinsics& lens = source.camera.lens;
+  const double border = std::min({pixel.x, pixel.y, lens.width - pixel.x, lens.height - pixel.y});
   const double inside = smoothstep(0, kBorderPixels, border);
   if (inside == 0) return 0;
-  tried.fetch = bilinearFetch(source, pixel);
-  return inside * tried.fetch.covered *
-         std::max(kLeastForeshortening, dot(query.normal, source.camera.viewDirection(query.p)));
+  fetch = bilinearFetch(source, pixel);
+  return inside * fetch.covered;
 }
 
 ViewSelection::Result ViewSelection::select(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& s,
                                             std::vector<ChosenView>& chosen) const {
-  const std::size_t count = views_.size();
   chosen.clear();
-  s.bound.resize(count);
-  s.distance.resize(count);
-  {
-    // A lower bound of every view's penalty: the chord to v is at most the angle.
-    const Vec3 p = query.p.raw(), v = query.view.raw();
-    const double inverse_eye = 1 / query.eye_distance;
-    for (std::size_t i = 0; i < count; ++i) {
-      const double dx = x_[i] - perspective_[i] * p.x, dy = y_[i] - perspective_[i] * p.y,
-                   dz = z_[i] - perspective_[i] * p.z;
-      const double length = std::sqrt(dx * dx + dy * dy + dz * dz), inverse = 1 / length;
-      const double ex = dx * inverse - v.x, ey = dy * inverse - v.y, ez = dz * inverse - v.z;
-      const double resolution = kResolutionPenalty * (length * inverse_eye - 1);
-      s.distance[i] = length;
-      s.bound[i] = std::sqrt(ex * ex + ey * ey + ez * ez) + (resolution > 0 ? perspective_[i] * resolution : 0);
+  const auto angle = [](const Candidate& c) { return 2 * std::asin(std::min(1.0, 0.5 * c.chord)); };
+  const auto further = [](const Candidate& a, const Candidate& b) {
+    return a.bound != b.bound ? a.bound > b.bound : a.view > b.view;
+  };
+  Candidate candidate;
+  // Only views that see one of the hit's points are candidates.
+  std::vector<Candidate>& open = s.open;
+  open.clear();
+  for (std::size_t w = 0; w < visible_.wordsPerPoint(); ++w) {
+    std::uint64_t seen = 0;
+    for (const std::uint32_t point : query.points) seen |= visible_.row(point)[w];
+    for (; seen; seen &= seen - 1) {
+      const auto view = static_cast<std::uint32_t>(64 * w + std::countr_zero(seen));
+      if (allowed[view] && consider(query, view, candidate)) open.push_back(candidate);
     }
   }
-  // Only views that see one of the hit's points are candidates.
-  s.seen.assign(visible_.wordsPerPoint(), 0);
-  for (const std::uint32_t point : query.points)
-    for (std::size_t w = 0; w < s.seen.size(); ++w) s.seen[w] |= visible_.row(point)[w];
-  const auto further = [](const Penalised& a, const Penalised& b) { return b < a; };
-  s.open.clear();
-  for (std::size_t w = 0; w < s.seen.size(); ++w)
-    for (std::uint64_t bits = s.seen[w]; bits; bits &= bits - 1) {
-      const auto view = static_cast<std::uint32_t>(64 * w + std::countr_zero(bits));
-      if (allowed[view]) s.open.push_back({s.bound[view] * (1 - 1e-12), view});
-    }
-  std::make_heap(s.open.begin(), s.open.end(), further);
+  std::make_heap(open.begin(), open.end(), further);
 
-  // Full penalties by rising bound, until no other view can be among the k + 1 nearest or tie with them. A view's
-  // factor is at most 1, so its penalty is at least its bound.
+  // Full penalties by rising bound, until no other view can be among the k + 1 nearest or tie with them.
   s.penalised.clear();
   s.tried.clear();
-  std::vector<Penalised>& open = s.open;
   const std::size_t wanted = k_ + std::size_t{1};
   double worst = kPenaltyCap;  // of the k + 1 nearest so far
-  while (!open.empty() && open.front().penalty <= worst) {
+  while (!open.empty() && open.front().bound <= worst) {
     std::pop_heap(open.begin(), open.end(), further);
-    const std::uint32_t view = open.back().source;
+    candidate = open.back();
     open.pop_back();
-    ChosenView tried;
-    tried.view = view;
-    double factor = 0;
+    double seen = 0;
     for (std::size_t i = 0; i < query.points.size(); ++i)
-      if (visible_.get(query.points[i], view)) factor += query.point_weights[i];
-    factor = std::min(factor, 1.0) * usable(query, view, tried);
-    if (!(factor > 0)) continue;
-    tried.angle = angleBetween(query.view, views_[view].camera.viewDirection(query.p));
-    const double resolution = perspective_[view] > 0 ? resolutionPenalty(s.distance[view], query.eye_distance) : 0;
-    const double penalty = viewPenalty(tried.angle, resolution, factor);
+      if (visible_.get(query.points[i], candidate.view)) seen += query.point_weights[i];
+    ChosenView tried{candidate.view, candidate.foreshortening, angle(candidate), {}};
+    const double usable = std::min(seen, 1.0) * covered(query, candidate.view, tried.fetch);
+    const double penalty = viewPenalty(tried.angle, candidate.resolution, usable);
     if (!(penalty < kPenaltyCap)) continue;
     s.tried.push_back(tried);
-    s.penalised.push_back({penalty, view});
+    s.penalised.push_back({penalty, candidate.view});
     for (std::size_t j = s.penalised.size() - 1; j > 0 && s.penalised[j] < s.penalised[j - 1]; --j)
       std::swap(s.penalised[j], s.penalised[j - 1]);
     if (s.penalised.size() >= wanted) worst = s.penalised[wanted - 1].penalty;
   }
   lumigraphWeights(s.penalised, k_, s.weights);
+  double sum = 0;
   for (const Weighted& w : s.weights)
     for (const ChosenView& tried : s.tried)
       if (tried.view == w.source) {
         chosen.push_back(tried);
-        chosen.back().weight = w.weight;
+        sum += chosen.back().weight *= w.weight;
       }
+  for (ChosenView& c : chosen) c.weight /= sum;
   if (!chosen.empty()) return Result::seen;
 
   // Deformation shows what no photograph saw: the nearest picture that covers p stands in, and is counted.
-  s.open.clear();
-  for (std::uint32_t i = 0; i < count; ++i)
-    if (allowed[i] && views_[i].coverage && std::isfinite(s.bound[i])) s.open.push_back({s.bound[i], i});
-  std::sort(s.open.begin(), s.open.end());
-  for (const Penalised& candidate : s.open) {
-    ChosenView tried;
-    tried.view = candidate.source;
-    if (!(usable(query, candidate.source, tried) > 0)) continue;
-    tried.weight = 1;
-    tried.angle = angleBetween(query.view, views_[candidate.source].camera.viewDirection(query.p));
+  open.clear();
+  for (std::uint32_t view = 0; view < views_.size(); ++view)
+    if (allowed[view] && consider(query, view, candidate)) open.push_back(candidate);
+  std::sort(open.begin(), open.end(), [](const Candidate& a, const Candidate& b) {
+    return a.chord != b.chord ? a.chord < b.chord : a.view < b.view;
+  });
+  for (const Candidate& c : open) {
+    ChosenView tried{c.view, 1, angle(c), {}};
+    if (!(covered(query, c.view, tried.fetch) > 0)) continue;
     chosen.push_back(tried);
     return Result::not_seen;
   }

@@ -57,12 +57,20 @@ class ViewSelection {
     not_seen,  ///< no view sees p: the nearest by angle whose picture covers it stands in
     none       ///< no picture covers p
   };
+  /// How a view lies to a query, before its picture is looked at.
+  struct Candidate {
+    std::uint32_t view;
+    double chord;           ///< between v and the view's direction at p
+    double resolution;      ///< resolutionPenalty
+    double foreshortening;  ///< n0 . v_i, kept above 0
+    double bound;           ///< at most the view's penalty
+  };
+  /// Memory that select() uses; one for each thread.
   struct Scratch {
-    std::vector<double> bound, distance;
-    std::vector<Penalised> open, penalised;
+    std::vector<Candidate> open;
+    std::vector<Penalised> penalised;
     std::vector<Weighted> weights;
     std::vector<ChosenView> tried;
-    std::vector<std::uint64_t> seen;
   };
   /// The views of a hit with weights that sum to 1, heaviest first. `allowed[i]`: view i may be used.
   Result select(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& scratch,
@@ -71,12 +79,13 @@ class ViewSelection {
   const std::vector<SourceView>& views() const { return views_; }
 
  private:
-  double usable(const ViewQuery& query, std::uint32_t view, ChosenView& tried) const;
+  bool consider(const ViewQuery& query, std::uint32_t view, Candidate& candidate) const;
+  /// How much of p the view's picture holds, 0 to 1, and where.
+  double covered(const ViewQuery& query, std::uint32_t view, Fetch& fetch) const;
 
   std::vector<SourceView> views_;
   const VisibilityBits& visible_;
   int k_;
-  std::vector<double> x_, y_, z_, perspective_;  ///< centres; of orthographic views their direction, and 0
 };
 
 }  // namespace srf
