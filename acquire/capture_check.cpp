@@ -41,6 +41,12 @@ std::string sizeText(int width, int height) {
   return std::to_string(width) + " x " + std::to_string(height);
 }
 
+/// The words of an error that names `file`, without the name.
+std::string without(const std::string& file, const Error& error) {
+  const std::string words = error.what();
+  return words.starts_with(file + ": ") ? words.substr(file.size() + 2) : words;
+}
+
 /// The rows of one thing that was looked at; says "ok" where nothing was found.
 class Section {
  public:
@@ -107,14 +113,60 @@ PhotoFacts lookAtPhoto(const Capture& capture, const CaptureView& view, const Ph
     facts.black = !(brightest > 0);
   } catch (const Error& e) {
     if (e.kind() == ErrorKind::interrupted) throw;
-    facts.fault = e.what();
+    facts.fault = without(photo.file.string(), e);
   }
   return facts;
 }
 
-std::vector<std::vector<PhotoFacts>> checkPhotos(const Capture& capture, CheckReport& report, Reporter& reporter) {
+using AllPhotoFacts = std::vector<std::vector<PhotoFacts>>;  // [view][photograph]
+
+void reportFiles(const Capture& capture, const AllPhotoFacts& facts, CheckReport& report) {
+  Section section(report, "photographs");
+  std::size_t files = 0;
+  for (std::size_t v = 0; v < facts.size(); ++v)
+    for (std::size_t p = 0; p < facts[v].size(); ++p, ++files)
+      if (!facts[v][p].fault.empty())
+        section.fault(capture.views[v].photos[p].file.string(), facts[v][p].fault,
+                      "put the whole photograph there, at the size that was calibrated");
+  section.finish(counted(files, "file") + ", whole and of the cameras' size");
+}
+
+void reportValues(const Capture& capture, const AllPhotoFacts& facts, CheckReport& report) {
+  Section section(report, "pixel values");
+  std::vector<std::size_t> black_of(capture.lights.size()), photos_of(capture.lights.size());
+  std::size_t black = 0;
+  for (std::size_t v = 0; v < facts.size(); ++v)
+    for (std::size_t p = 0; p < facts[v].size(); ++p) {
+      const PhotoFacts& f = facts[v][p];
+      if (!f.fault.empty()) continue;
+      const Photo& photo = capture.views[v].photos[p];
+      const std::string file = photo.file.string();
+      const double clipped = 100 * static_cast<double>(f.clipped) / static_cast<double>(f.pixels);
+      if (f.not_finite > 0)
+        section.warn(file, counted(f.not_finite, "pixel") + " NaN or infinite",
+                     "they are masked when the field is made; merge the exposures again if they matter");
+      if (f.negative > 0)
+        section.warn(file, counted(f.negative, "pixel") + " negative", "subtract less of the dark frame");
+      if (clipped > 1)
+        section.warn(file, text("%.1f %% of the pixels are clipped at white", clipped),
+                     "expose less, or merge exposures to EXR; clipped highlights come out too dark");
+      black += f.black;
+      if (!photo.light) continue;
+      ++photos_of[photo.light->value];
+      black_of[photo.light->value] += f.black;
+    }
+  for (std::size_t l = 0; l < capture.lights.size(); ++l)
+    if (photos_of[l] > 0 && black_of[l] == photos_of[l])
+      section.warn(
+          "", "all " + counted(photos_of[l], "photograph") + " under light '" + capture.lights[l].name + "' are black",
+          "see whether the light was on; remove it from the capture if not");
+  section.finish("finite, none negative, none clipped" +
+                 (black > 0 ? ", " + counted(black, "photograph") + " black (lit from behind)" : ""));
+}
+
+AllPhotoFacts checkPhotos(const Capture& capture, CheckReport& report, Reporter& reporter) {
   std::vector<std::pair<std::size_t, std::size_t>> all;
-  std::vector<std::vector<PhotoFacts>> facts(capture.views.size());
+  AllPhotoFacts facts(capture.views.size());
   for (std::size_t v = 0; v < capture.views.size(); ++v) {
     facts[v].resize(capture.views[v].photos.size());
     for (std::size_t p = 0; p < facts[v].size(); ++p) all.emplace_back(v, p);
@@ -129,43 +181,8 @@ std::vector<std::vector<PhotoFacts>> checkPhotos(const Capture& capture, CheckRe
       }
     });
   }
-  Section files(report, "photographs"), values(report, "pixel values");
-  std::vector<std::size_t> black_of(capture.lights.size()), photos_of(capture.lights.size());
-  std::size_t black = 0;
-  for (const auto& [v, p] : all) {
-    const PhotoFacts& f = facts[v][p];
-    const Photo& photo = capture.views[v].photos[p];
-    const std::string file = photo.file.string();
-    if (!f.fault.empty()) {
-      // Errors of the image reader name the file themselves.
-      files.fault(file, f.fault.starts_with(file + ": ") ? f.fault.substr(file.size() + 2) : f.fault,
-                  "put the whole photograph there, at the size that was calibrated");
-      continue;
-    }
-    const double pixels = static_cast<double>(f.pixels);
-    if (f.not_finite > 0)
-      values.warn(file, counted(f.not_finite, "pixel") + " are NaN or infinite",
-                  "they are masked when the field is made; merge the exposures again if they matter");
-    if (f.negative > 0)
-      values.warn(file, counted(f.negative, "pixel") + " are negative", "subtract less of the dark frame");
-    if (static_cast<double>(f.clipped) > 0.01 * pixels)
-      values.warn(file,
-                  text("%.1f %% of the pixels are clipped at white", 100 * static_cast<double>(f.clipped) / pixels),
-                  "expose less, or merge exposures to EXR; clipped highlights come out too dark");
-    black += f.black;
-    if (photo.light) {
-      ++photos_of[photo.light->value];
-      black_of[photo.light->value] += f.black;
-    }
-  }
-  for (std::size_t l = 0; l < capture.lights.size(); ++l)
-    if (photos_of[l] > 0 && black_of[l] == photos_of[l])
-      values.warn(
-          "", "all " + counted(photos_of[l], "photograph") + " under light '" + capture.lights[l].name + "' are black",
-          "see whether the light was on; remove it from the capture if not");
-  files.finish(counted(all.size(), "file") + ", whole and of their cameras' size");
-  values.finish("finite, none negative, none clipped" +
-                (black > 0 ? ", " + std::to_string(black) + " photographs black (lit from behind)" : ""));
+  reportFiles(capture, facts, report);
+  reportValues(capture, facts, report);
   return facts;
 }
 
@@ -182,24 +199,19 @@ double whiteBorder(const Image8& mask) {
   return static_cast<double>(white) / static_cast<double>(std::max<std::size_t>(1, all));
 }
 
-/// Faults of a mask file as the silhouette reader sees them, and those it cannot know.
-void checkMask(const Capture& capture, std::size_t v, Section& section, std::vector<char>& usable) {
-  const CaptureView& view = capture.views[v];
-  const std::string file = view.mask_file.string();
+/// Faults of a mask file as the silhouette reader sees them, and those it cannot know. `capture` has one view.
+bool checkMask(const Capture& capture, Section& section) {
+  const std::string file = capture.views.front().mask_file.string();
   try {
-    Capture one = capture;
-    one.views = {view};
-    const Image8 mask = silhouette(one, ViewId{0}, {}, Reporter::silent());
-    const double border = whiteBorder(mask);
-    if (border <= 0.8) return;
+    const double border = whiteBorder(silhouette(capture, ViewId{0}, {}, Reporter::silent()));
+    if (border <= 0.8) return true;
     section.fault(file, text("%.0f %% of the picture's border is white", 100 * border),
                   "invert it: white is the object, black the background");
   } catch (const Error& e) {
     if (e.kind() == ErrorKind::interrupted) throw;
-    const std::string what = e.what();
-    section.fault(file, what.starts_with(file + ": ") ? what.substr(file.size() + 2) : what, "");
+    section.fault(file, without(file, e), "");
   }
-  usable[v] = false;
+  return false;
 }
 
 void checkMasks(const Capture& capture, CheckReport& report, std::vector<char>& usable) {
@@ -207,7 +219,11 @@ void checkMasks(const Capture& capture, CheckReport& report, std::vector<char>& 
   std::vector<std::size_t> with, without;
   for (std::size_t v = 0; v < capture.views.size(); ++v)
     (capture.views[v].mask_file.empty() ? without : with).push_back(v);
-  for (const std::size_t v : with) checkMask(capture, v, section, usable);
+  for (const std::size_t v : with) {
+    Capture one;
+    one.views = {capture.views[v]};
+    usable[v] = checkMask(one, section);
+  }
   if (!with.empty())
     for (const std::size_t v : without)
       section.warn(capture.views[v].name, "has no mask, while other views have one",

@@ -133,8 +133,19 @@ Histogram smoothed(const Histogram& counts) {
   return out;
 }
 
-int modeOf(const Histogram& h, int first) {
-  return static_cast<int>(std::max_element(h.begin() + first, h.end()) - h.begin());
+constexpr int kDark = kLevels / 3;  // a plain dark background lies below
+
+/// The fullest level in [first, end).
+int modeOf(const Histogram& h, int first, int end) {
+  return static_cast<int>(std::max_element(h.begin() + first, h.begin() + end) - h.begin());
+}
+
+int medianOf(const Histogram& h) {
+  double total = 0, below = 0;
+  for (const double c : h) total += c;
+  int level = 0;
+  while (level + 1 < kLevels && (below += h[level]) < 0.5 * total) ++level;
+  return level;
 }
 
 /// The level that best splits a histogram into two classes (Otsu 1979).
@@ -158,9 +169,8 @@ int otsu(const Histogram& h) {
 /// lies half way up and takes the object's shadows away; the floor itself is flat and so a matter of chance.
 int footOfBackground(const Histogram& region, const Histogram& background) {
   const Histogram h = smoothed(region);
-  const int dark = modeOf(smoothed(background), 0);
-  const int bright =
-      modeOf(h, std::max(otsu(region), dark) + 1 < kLevels ? std::max(otsu(region), dark) + 1 : kLevels - 1);
+  const int dark = modeOf(smoothed(background), 0, kDark);
+  const int bright = modeOf(h, std::min(std::max(otsu(region), dark) + 1, kLevels - 1), kLevels);
   const double floor = *std::min_element(h.begin() + dark, h.begin() + bright + 1);
   double total = 0;
   for (const double c : region) total += c;
@@ -172,11 +182,11 @@ int footOfBackground(const Histogram& region, const Histogram& background) {
 /// Fills holes so small that they are specks of shadow; a carved ray through the object would be the worse mistake.
 void fillSpecks(cv::Mat& mask, int largest) {
   cv::Mat outside = mask == 0, labels, stats, centers;
-  const int count = cv::connectedComponentsWithStats(outside, labels, stats, centers, 4);
+  cv::connectedComponentsWithStats(outside, labels, stats, centers, 4);
   for (int y = 0; y < mask.rows; ++y)
     for (int x = 0; x < mask.cols; ++x) {
       const int l = labels.at<int>(y, x);
-      if (l == 0 || l >= count || stats.at<int>(l, cv::CC_STAT_AREA) > largest) continue;
+      if (l == 0 || stats.at<int>(l, cv::CC_STAT_AREA) > largest) continue;
       const int left = stats.at<int>(l, cv::CC_STAT_LEFT), top = stats.at<int>(l, cv::CC_STAT_TOP);
       const bool at_border = left == 0 || top == 0 || left + stats.at<int>(l, cv::CC_STAT_WIDTH) == mask.cols ||
                              top + stats.at<int>(l, cv::CC_STAT_HEIGHT) == mask.rows;
@@ -265,7 +275,7 @@ int commonLevel(const std::vector<Draft>& drafts, const Capture& capture) {
     addLevels(inside, draft.levels, draft.region);
     addLevels(outside, draft.levels, surelyBackground(draft.region));
   }
-  if (modeOf(smoothed(outside), 0) > kLevels / 3)
+  if (medianOf(outside) >= kDark)
     throw badInput(capture.folder.string(),
                    "the background of its photographs is not dark; give masks, or photograph the object before black");
   return footOfBackground(inside, outside);

@@ -16,7 +16,7 @@ void printReport(const srf::CheckReport& report) {
                 i.found.c_str());
     if (!i.mend.empty()) std::printf("%-8s %-19s   mend: %s\n", "", "", i.mend.c_str());
   }
-  std::printf("%zu faults, %zu warnings\n", report.count(srf::Verdict::fault), report.count(srf::Verdict::warning));
+  std::printf("faults: %zu, warnings: %zu\n", report.count(srf::Verdict::fault), report.count(srf::Verdict::warning));
 }
 
 void writeReport(const std::string& file, const srf::CheckReport& report) {
