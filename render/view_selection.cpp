@@ -10,8 +10,10 @@ namespace srf {
 namespace {
 
 constexpr double kBorderPixels = 4;  // over which a view fades towards the border of its picture
-constexpr double kLeastForeshortening =
-    0.05;  // theory 14: foreshortening in the weight pays; a grazing view stays usable
+// A view that sees the surface at a slant has fewer pixels on it: its weight falls with the square root of n0 . v_i
+// (tried on an independent capture: no factor, the root and n0 . v_i itself give 0.78, 0.87 and 0.91 dB over the
+// reference figures in the mean, but -0.29, -0.29 and -0.44 dB at worst). A grazing view stays usable.
+constexpr double kLeastForeshortening = 0.05;
 // Least coverage of a texel (formats.md): pixels over black are premultiplied and only lose precision; others hold
 // background colour.
 constexpr int kLeastBlack = 128, kLeastOther = 250;
@@ -63,7 +65,7 @@ bool ViewSelection::consider(const ViewQuery& query, std::uint32_t view, Candida
   candidate.view = view;
   candidate.chord = std::sqrt(dot(chord, chord));
   candidate.resolution = orthographic ? 0 : resolutionPenalty(length, query.eye_distance);
-  candidate.foreshortening = std::pow(std::clamp(dot(query.normal.raw(), direction), kLeastForeshortening, 1.0),getenv("FE")?atof(getenv("FE")):0.5);
+  candidate.foreshortening = std::sqrt(std::clamp(dot(query.normal.raw(), direction), kLeastForeshortening, 1.0));
   // The chord to v is at most the angle, and visibility and coverage only add to the penalty. Less some roundings.
   candidate.bound = viewPenalty(candidate.chord, candidate.resolution, 1) * (1 - 1e-12);
   return true;

@@ -62,7 +62,7 @@ class ViewSelection {
     std::uint32_t view;
     double chord;           ///< between v and the view's direction at p
     double resolution;      ///< resolutionPenalty
-    double foreshortening;  ///< n0 . v_i, kept above 0
+    double foreshortening;  ///< factor of the view's weight: sqrt(n0 . v_i), kept above 0
     double bound;           ///< at most the view's penalty
   };
   /// Memory that select() uses; one for each thread.
