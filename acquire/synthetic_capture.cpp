@@ -29,7 +29,8 @@ constexpr double kGoldenAngle = 2.39996322972865332;
 constexpr int kTurntableCameras = 3;
 constexpr double kTurntableElevation[kTurntableCameras] = {10, 35, 60};  // degrees
 constexpr double kDomeLowest = 8, kDomeHighest = 80;                     // degrees
-constexpr double kNoiseFloor = 0.05;  // radiance, of white, whose shot noise equals the noise of black
+constexpr std::size_t kPhotoMemory = std::size_t{1} << 29;               // bytes: photographs under construction
+constexpr double kNoiseFloor = 0.05;  // share of white whose shot noise equals the noise of black
 
 // Random numbers that depend on nothing but their key (SplitMix64), so that no order of work changes them.
 class KeyedRandom {
@@ -165,7 +166,7 @@ struct ExactView {
 class Photographer {
  public:
   Photographer(const SyntheticObject& object, const AcquisitionMesh& mesh)
-      : object_(object), mesh_(mesh), scene_(RayScene<AcquisitionSpace>::ofTriangles(mesh.positions, mesh.triangles)) {}
+      : object_(object), scene_(RayScene<AcquisitionSpace>::ofTriangles(mesh.positions, mesh.triangles)) {}
 
   ExactView take(const Camera<AcquisitionSpace>& camera, std::span<const CaptureLight> lights,
                  int supersampling) const {
@@ -247,7 +248,6 @@ class Photographer {
   }
 
   const SyntheticObject& object_;
-  const AcquisitionMesh& mesh_;
   RayScene<AcquisitionSpace> scene_;
 };
 
@@ -374,6 +374,29 @@ class PartialFolder {
   fs::path folder_, part_;
 };
 
+// Takes the view's photographs, as many at once as the memory allows, and writes them and the mask.
+void writeView(const SyntheticCaptureOptions& options, const Photographer& photographer, const Capture& capture,
+               std::uint64_t v, Reporter& reporter, Reporter::Stage& stage) {
+  const CaptureView& view = capture.views[v];
+  const std::size_t photo_bytes = std::size_t{3 * sizeof(float)} * options.size * options.size;
+  const std::size_t at_once = std::max<std::size_t>(kPhotoMemory / photo_bytes, 1);
+  for (std::size_t first = 0; first < view.photos.size(); first += at_once) {
+    const auto photos = std::span(view.photos).subspan(first, std::min(at_once, view.photos.size() - first));
+    std::vector<CaptureLight> lights;
+    for (const Photo& photo : photos) lights.push_back(capture.lights[photo.light->value]);
+    ExactView exact = photographer.take(view.camera, lights, options.supersampling);
+    if (first == 0) writePng(view.mask_file, maskOf(exact, options, v));
+    parallelFor(photos.size(), 1, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t l = begin; l < end; ++l) {
+        disturb(exact.photos[l], lights[l], options, v, first + l);
+        const std::size_t clamped = writeExr(photos[l].file, exact.photos[l]);
+        if (clamped) reporter.count("pixels.clamped", clamped);
+        stage.advance();
+      }
+    });
+  }
+}
+
 }  // namespace
 
 const std::vector<std::string>& syntheticRigNames() {
@@ -410,25 +433,12 @@ void writeSyntheticCapture(const SyntheticCaptureOptions& options, const fs::pat
   for (const auto& p : mesh.positions) radius = std::max(radius, length(p.raw()));
   PartialFolder part(folder);
   const Capture capture = layOut(options, radius, part.path());
-
-  const Photographer photographer(object, mesh);
   {
+    const Photographer photographer(object, mesh);
     Reporter::Stage stage(reporter, "photographs", static_cast<std::uint64_t>(options.views) * options.lights);
     for (std::size_t v = 0; v < capture.views.size(); ++v) {
       throwIfInterrupted();
-      const CaptureView& view = capture.views[v];
-      std::vector<CaptureLight> lights;
-      for (const Photo& photo : view.photos) lights.push_back(capture.lights[photo.light->value]);
-      ExactView exact = photographer.take(view.camera, lights, options.supersampling);
-      writePng(view.mask_file, maskOf(exact, options, v));
-      parallelFor(view.photos.size(), 1, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t l = begin; l < end; ++l) {
-          disturb(exact.photos[l], lights[l], options, v, l);
-          const std::size_t clamped = writeExr(view.photos[l].file, exact.photos[l]);
-          if (clamped) reporter.count("pixels.clamped", clamped);
-          stage.advance();
-        }
-      });
+      writeView(options, photographer, capture, v, reporter, stage);
     }
   }
   writePly(part.path() / "model.ply", mesh);

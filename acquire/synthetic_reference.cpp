@@ -67,7 +67,7 @@ class ReferenceScene {
       add(samples, sum, false, [&](const Sample& s) {
         const double d = distance(light.position, s.p_star);
         const auto to = normalize(light.position - s.p_star).value_or(s.n_star);
-        return Incident{s.acquisition_from_object * to, to, d, INFINITY, light.intensity / (d * d)};
+        return Incident{s.acquisition_from_object * to, to, d, INFINITY, d > 0 ? light.intensity / (d * d) : Vec3{}};
       });
     for (const auto& [light, scale] : lights_.rest)
       add(samples, sum, true, [&, scale = scale](const Sample& s) {
@@ -119,6 +119,7 @@ class ReferenceScene {
     const auto n_star = normalize(Vector<ObjectSpace>((det < 0 ? -1.0 : 1.0) * (cofactor * point.normal.raw())));
     if (!n_star) return std::nullopt;
     const Point<ObjectSpace> p_star = warp_.map(p0);
+    if (!isFinite(p_star)) return std::nullopt;
     const auto v_star = camera.viewDirection(p_star);
     if (dot(*n_star, v_star) < kInside) return std::nullopt;
     const auto look_up = warp_.lookUp(jacobian, point.normal);
