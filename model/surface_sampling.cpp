@@ -6,19 +6,21 @@
 #include "base/check.h"
 #include "base/parallel.h"
 
-// Dart throwing (Cook 1986) on a hash grid: candidates in a fixed pseudo-random order, each kept unless a kept one is
-// too near.
+// Dart throwing (Cook 1986) on a hash grid: random candidates in a fixed order, each kept unless a kept one is too
+// near. A lattice of candidates over every triangle then fills what chance has left, so that the radius is a guarantee.
 
 namespace srf {
 namespace {
 
-// Candidates for each sample asked for. More of them fill the last gaps and cost time.
-constexpr std::size_t kCandidates = 16;
-// Samples times distance^2 over area once that many darts are thrown (measured; the limit of endless darts is 0.697).
-constexpr double kDensity = 0.6;
-// Radius of the discs in distances between samples: 1 would do if every place had been tried; the rest is for the gaps
-// between candidates and for discs that lie askew on a curved surface.
-constexpr double kRadius = 1.15;
+// Random candidates for each sample asked for: what is left then is small gaps, and throwing on finds few of them.
+constexpr std::size_t kRounds = 8;
+// Spacing of the lattice that fills them, in distances between samples. No place of the surface is further than 1.12 of
+// it from a lattice point, and no lattice point is further than one distance from a sample.
+constexpr double kLattice = 0.2;
+// Radius of the discs in distances between samples: 1 + 1.12 kLattice, and 2 % for discs askew on a curved surface.
+constexpr double kRadius = 1.25;
+// Samples times distance^2 over area (measured; the limit of endless darts in the plane is 0.697).
+constexpr double kDensity = 0.68;
 // Cosine between a face and its interpolated normal at which the corner is taken to be sharp and the face's normal
 // holds.
 constexpr double kSharpCosine = 0.866;
@@ -82,6 +84,28 @@ class Neighbours {
   std::vector<Vec3> points_;
 };
 
+// Calls visit(b1, b2) for the lattice over a triangle with corners `p`: rows along the longest edge, at most `step`
+// apart.
+template <class Visit>
+void visitLattice(const std::array<Vec3, 3>& p, double step, const Visit& visit) {
+  int base = 0;  // the longest edge runs from this corner to the next; the feet of the other corner's heights lie on it
+  for (int k = 1; k < 3; ++k)
+    if (length(p[(k + 1) % 3] - p[k]) > length(p[(base + 1) % 3] - p[base])) base = k;
+  const Vec3 edge = p[(base + 1) % 3] - p[base], side = p[(base + 2) % 3] - p[base];
+  const double longest = length(edge), height = length(cross(edge, side)) / longest;
+  const auto rows = static_cast<std::size_t>(std::ceil(height / step));
+  for (std::size_t r = 0; r <= rows; ++r) {
+    const double up = rows > 0 ? static_cast<double>(r) / static_cast<double>(rows) : 0;
+    const auto columns = static_cast<std::size_t>(std::ceil((1 - up) * longest / step));
+    for (std::size_t c = 0; c <= columns; ++c) {
+      const double along = columns > 0 ? (1 - up) * static_cast<double>(c) / static_cast<double>(columns) : 0;
+      double weight[3];
+      weight[base] = 1 - up - along, weight[(base + 1) % 3] = along, weight[(base + 2) % 3] = up;
+      visit(weight[1], weight[2]);
+    }
+  }
+}
+
 }  // namespace
 
 SurfaceSamples sampleSurface(const AcquisitionMesh& mesh, std::size_t count, Reporter& reporter) {
@@ -96,36 +120,49 @@ SurfaceSamples sampleSurface(const AcquisitionMesh& mesh, std::size_t count, Rep
   SRF_CHECK(area > 0);
   const double spacing = std::sqrt(kDensity * area / static_cast<double>(count));
   const Vec3 corner = mesh.bounds().min;  // the grid counts from here: cells stay small numbers far from the origin
+  // The point is made from the rounded weights, so that anchor and point agree.
+  const auto candidate = [&mesh](std::size_t t, double b1, double b2) {
+    const std::array<float, 2> b{std::max(0.f, static_cast<float>(b1)), std::max(0.f, static_cast<float>(b2))};
+    const auto& [c0, c1, c2] = mesh.triangles[t];
+    const Point<AcquisitionSpace>& p = mesh.positions[c0];
+    return Candidate{p + (double{b[0]} * (mesh.positions[c1] - p) + double{b[1]} * (mesh.positions[c2] - p)),
+                     static_cast<std::uint32_t>(t), b};
+  };
 
   SurfaceSamples samples;
   samples.radius = kRadius * spacing;
   Neighbours neighbours(spacing, count);
-  Reporter::Stage stage(reporter, "surfels", kCandidates);
+  const auto keepIfFree = [&](const Candidate& c) {
+    const Vec3 local = c.point.raw() - corner;
+    if (!neighbours.isFree(local)) return;
+    neighbours.add(local);
+    samples.points.push_back(c.point);
+    samples.triangle.push_back(c.triangle);
+    samples.weights.push_back(c.weights);
+  };
+  Reporter::Stage stage(reporter, "surfels", kRounds + 1);
   std::vector<Candidate> candidates(count);
-  for (std::size_t round = 0; round < kCandidates; ++round) {
+  for (std::size_t round = 0; round < kRounds; ++round) {
     parallelFor(count, 4096, [&](std::size_t begin, std::size_t end) {
       for (std::size_t i = begin; i < end; ++i) {
         const std::uint64_t counter = 3 * (round * count + i);
         const auto above = std::upper_bound(area_before.begin() + 1, area_before.end() - 1, area * uniform(counter));
-        const auto t = static_cast<std::uint32_t>(above - area_before.begin() - 1);
         const double root = std::sqrt(uniform(counter + 1));
-        // The point is made from the rounded weights, so that anchor and point agree.
-        const std::array<float, 2> b{static_cast<float>(root * uniform(counter + 2)), static_cast<float>(1 - root)};
-        const auto& [c0, c1, c2] = mesh.triangles[t];
-        const Point<AcquisitionSpace>& p = mesh.positions[c0];
-        candidates[i] = {p + (double{b[0]} * (mesh.positions[c1] - p) + double{b[1]} * (mesh.positions[c2] - p)), t, b};
+        candidates[i] =
+            candidate(static_cast<std::size_t>(above - area_before.begin() - 1), root * uniform(counter + 2), 1 - root);
       }
     });
-    for (const Candidate& c : candidates) {
-      const Vec3 local = c.point.raw() - corner;
-      if (!neighbours.isFree(local)) continue;
-      neighbours.add(local);
-      samples.points.push_back(c.point);
-      samples.triangle.push_back(c.triangle);
-      samples.weights.push_back(c.weights);
-    }
+    for (const Candidate& c : candidates) keepIfFree(c);
     stage.advance();
   }
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
+    if (t % 4096 == 0) throwIfInterrupted();
+    if (!(area_before[t + 1] > area_before[t])) continue;
+    const auto& [a, b, c] = mesh.triangles[t];
+    visitLattice({mesh.positions[a].raw(), mesh.positions[b].raw(), mesh.positions[c].raw()}, kLattice * spacing,
+                 [&](double b1, double b2) { keepIfFree(candidate(t, b1, b2)); });
+  }
+  stage.advance();
 
   samples.normals.resize(samples.points.size());
   for (std::size_t i = 0; i < samples.points.size(); ++i) {

@@ -399,16 +399,16 @@ TEST(Surfels, LeaveNoHoleAtRestOrDeformed) {
       by_surfels.deform(psiOf(list));
       const Rays rays = raysAt(list.empty() ? 100000 : 20000);
       const auto expected = hitsOf(by_triangles, rays), found = hitsOf(by_surfels, rays);
-      std::size_t holes = 0, tears = 0, met = 0;
+      std::size_t holes = 0, met = 0;
       for (std::size_t i = 0; i < rays.size(); ++i) {
         if (expected[i].count == 0) continue;
         ++met;
-        holes += found[i].count == 0;
-        tears += found[i].count > 0 && distance(expected[i].p_star, found[i].p_star) > 0.3;
+        // Through a hole the ray goes on to the far side or out.
+        const bool deeper = found[i].count > 0 && found[i].distance > expected[i].distance + 0.3;
+        holes += found[i].count == 0 || deeper;
       }
       EXPECT_GT(met, rays.size() / 20);
       EXPECT_EQ(holes, 0u) << list;
-      EXPECT_LE(static_cast<double>(tears), 2e-3 * static_cast<double>(met)) << list;  // discs beyond the silhouette
     }
   }
 }
