@@ -157,28 +157,34 @@ AcquisitionMesh torus(const Vec3& center, const Vec3& half, double& off) {
 
 using Kernel = CGAL::Exact_predicates_inexact_constructions_kernel;
 
-// Vertices at one place become one, where their normals (if any) agree.
+double largestCoordinate(const AcquisitionMesh& mesh) {
+  double largest = 0;
+  for (const Point3& p : mesh.positions)
+    for (int k = 0; k < 3; ++k)
+      if (std::isfinite(p.raw()[k])) largest = std::max(largest, std::fabs(p.raw()[k]));
+  return largest;
+}
+
+// Vertices that at most the rounding of floats keeps apart become one, where their normals (if any) agree: the seams of
+// textures close, sharp edges stay.
 void mergeVertices(AcquisitionMesh& mesh) {
-  std::vector<std::uint32_t> order(mesh.positions.size()), stands_for(mesh.positions.size());
-  std::iota(order.begin(), order.end(), 0u);
+  const double apart = 4 * std::numeric_limits<float>::epsilon() * largestCoordinate(mesh);
+  const Vec3 slant{0.5477, 0.6831, 0.4831};  // unit; a direction that no flat side of an object is perpendicular to
+  std::vector<std::pair<double, std::uint32_t>> order;
+  for (std::uint32_t i = 0; i < mesh.positions.size(); ++i)
+    if (isFinite(mesh.positions[i])) order.emplace_back(dot(slant, mesh.positions[i].raw()), i);
+  std::sort(order.begin(), order.end());
+  std::vector<std::uint32_t> stands_for(mesh.positions.size());
   std::iota(stands_for.begin(), stands_for.end(), 0u);
-  const auto key = [&](std::uint32_t i) {
-    const Vec3& p = mesh.positions[i].raw();
-    return std::array<double, 3>{p.x, p.y, p.z};
-  };
-  std::sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
-    const auto ka = key(a), kb = key(b);
-    return ka != kb ? ka < kb : a < b;
-  });
-  for (std::size_t begin = 0, end; begin < order.size(); begin = end) {
-    for (end = begin + 1; end < order.size() && key(order[end]) == key(order[begin]);) ++end;
-    for (std::size_t i = begin + 1; i < end; ++i)
-      for (std::size_t k = begin; k < i; ++k) {
-        if (stands_for[order[k]] != order[k]) continue;
-        if (!mesh.normals.empty() && dot(mesh.normals[order[k]], mesh.normals[order[i]]) < 0.999) continue;
-        stands_for[order[i]] = order[k];
-        break;
-      }
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    const std::uint32_t here = order[i].second;
+    for (std::size_t k = i; k-- > 0 && order[i].first - order[k].first <= apart;) {
+      const std::uint32_t there = stands_for[order[k].second];
+      if (distance(mesh.positions[here], mesh.positions[there]) > apart) continue;
+      if (!mesh.normals.empty() && dot(mesh.normals[here], mesh.normals[there]) < 0.999) continue;
+      stands_for[here] = there;
+      break;
+    }
   }
   for (Triangle& t : mesh.triangles)
     for (std::uint32_t& v : t) v = stands_for[v];
@@ -284,10 +290,8 @@ ImportedShape importMesh(AcquisitionMesh mesh, const std::string& file, Reporter
     reporter.warn(file + " is not closed: " + std::to_string(loops) + " holes or seams with " + std::to_string(edges) +
                   " border edges; rays may pass through them");
   if (mesh.normals.empty()) mesh.normals = vertexNormals(mesh);
-  double largest = 0;
-  for (const Point3& p : mesh.positions)
-    for (int k = 0; k < 3; ++k) largest = std::max(largest, std::fabs(p.raw()[k]));
-  return {std::move(mesh), largest * std::numeric_limits<float>::epsilon()};
+  const double error = largestCoordinate(mesh) * std::numeric_limits<float>::epsilon();
+  return {std::move(mesh), error};
 }
 
 // --- Point clouds ----------------------------------------------------------------------------------------------------
