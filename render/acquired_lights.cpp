@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "base/numeric.h"
 #include "base/parallel.h"
@@ -109,10 +110,6 @@ std::span<const std::uint32_t> AcquiredLights::cell(const Vec3& direction) const
   return {candidates_.data() + begin_[c], candidates_.data() + begin_[c + 1]};
 }
 
-Vec3 AcquiredLights::directionFrom(std::uint32_t i, const Point<AcquisitionSpace>& p) const {
-  return distant_ ? direction_[i] : lights_[i].directionFrom(p).raw();
-}
-
 void AcquiredLights::nearest(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p,
                              std::vector<Penalised>& scratch, std::vector<Weighted>& weights) const {
   if (usable_.empty()) {
@@ -123,25 +120,21 @@ void AcquiredLights::nearest(const Direction<AcquisitionSpace>& direction, const
   // nearest pay for an arcsine.
   const Vec3 d = direction.raw();
   const auto chord2 = [&](std::uint32_t i) {
-    const Vec3 difference = d - directionFrom(i, p);
+    const Vec3 difference = d - (distant_ ? direction_[i] : lights_[i].directionFrom(p).raw());
     return dot(difference, difference);
   };
   const std::span<const std::uint32_t> candidates = cell(d);
-  const std::size_t wanted = k_ + std::size_t{1};
-  scratch.clear();
+  const std::size_t wanted = std::min<std::size_t>(k_ + std::size_t{1}, candidates.size());
+  scratch.assign(wanted, {std::numeric_limits<double>::infinity(), ~0u});
   for (const std::uint32_t i : candidates) {
     const Penalised light{chord2(i), i};
-    if (scratch.size() == wanted) {
-      if (!(light < scratch.back())) continue;
-      scratch.back() = light;
-    } else {
-      scratch.push_back(light);
-    }
-    for (std::size_t j = scratch.size() - 1; j > 0 && scratch[j] < scratch[j - 1]; --j)
-      std::swap(scratch[j], scratch[j - 1]);
+    std::size_t at = wanted - 1;
+    if (!(light < scratch[at])) continue;
+    for (; at > 0 && light < scratch[at - 1]; --at) scratch[at] = scratch[at - 1];
+    scratch[at] = light;
   }
   const auto floored = [](double c2) { return std::max(c2, square(kLeastPenalty)); };
-  if (scratch.size() == wanted && floored(scratch.back().penalty) == floored(scratch.front().penalty)) {
+  if (floored(scratch.back().penalty) == floored(scratch.front().penalty)) {
     // All tie: the others that tie with them share too (lumigraphWeights).
     const double tie = floored(scratch.front().penalty);
     scratch.clear();
@@ -150,7 +143,7 @@ void AcquiredLights::nearest(const Direction<AcquisitionSpace>& direction, const
   }
   for (Penalised& light : scratch)
     light.penalty = light.penalty <= 2 ? 2 * std::asin(0.5 * std::sqrt(light.penalty))
-                                       : angleBetweenUnit(d, directionFrom(light.source, p));
+                                       : kPi - 2 * std::asin(0.5 * std::sqrt(std::max(0.0, 4 - light.penalty)));
   lumigraphWeights(scratch, k_, weights);
 }
 

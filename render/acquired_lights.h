@@ -37,7 +37,6 @@ class AcquiredLights {
 
  private:
   std::span<const std::uint32_t> cell(const Vec3& direction) const;
-  Vec3 directionFrom(std::uint32_t i, const Point<AcquisitionSpace>& p) const;
 
   std::vector<LightId> ids_;
   std::vector<CaptureLight> lights_;

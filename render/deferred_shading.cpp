@@ -1,6 +1,8 @@
 #include "render/deferred_shading.h"
 
 #include <algorithm>
+#include <numeric>
+#include <unordered_map>
 
 #include "base/parallel.h"
 #include "base/reporter.h"
@@ -22,13 +24,43 @@ constexpr std::size_t kJobOperations = 2048;  // enough to outweigh the handle, 
 }  // namespace
 
 void sortOperations(ShadingBatch& batch) {
-  // Packed keys sort several times faster than the records themselves.
-  std::vector<std::pair<std::uint64_t, std::uint32_t>> keys(batch.operations.size());
-  for (std::size_t i = 0; i < keys.size(); ++i)
-    keys[i] = {blockKey(batch.operations[i]), static_cast<std::uint32_t>(i)};
-  std::sort(keys.begin(), keys.end());
-  std::vector<ShadingOperation> sorted(keys.size());
-  for (std::size_t i = 0; i < keys.size(); ++i) sorted[i] = batch.operations[keys[i].second];
+  // A batch touches few blocks, mostly those of the operations just before: distributing by block is several times
+  // faster than sorting by comparison.
+  const std::vector<ShadingOperation>& operations = batch.operations;
+  std::unordered_map<std::uint64_t, std::uint32_t> known;  // key to position in keys
+  std::vector<std::uint64_t> keys;                         // of the blocks, as they are met
+  std::vector<std::uint32_t> count;                        // of each block's operations
+  std::vector<std::uint32_t> block(operations.size());     // of each operation, into keys
+  for (std::size_t i = 0; i < operations.size(); ++i) {
+    const std::uint64_t key = blockKey(operations[i]);
+    std::uint32_t found = static_cast<std::uint32_t>(keys.size());
+    for (std::size_t back = 1; back <= std::min<std::size_t>(i, 8); ++back)
+      if (keys[block[i - back]] == key) {
+        found = block[i - back];
+        break;
+      }
+    if (found == keys.size()) {
+      const auto [entry, added] = known.try_emplace(key, found);
+      found = entry->second;
+      if (added) {
+        keys.push_back(key);
+        count.push_back(0);
+      }
+    }
+    block[i] = found;
+    ++count[found];
+  }
+  std::vector<std::uint32_t> order(keys.size());
+  std::iota(order.begin(), order.end(), 0u);
+  std::sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return keys[a] < keys[b]; });
+  std::vector<std::uint32_t> next(keys.size());  // where the next operation of a block goes
+  std::uint32_t begin = 0;
+  for (const std::uint32_t b : order) {
+    next[b] = begin;
+    begin += count[b];
+  }
+  std::vector<ShadingOperation> sorted(operations.size());
+  for (std::size_t i = 0; i < operations.size(); ++i) sorted[next[block[i]]++] = operations[i];
   batch.operations = std::move(sorted);
 }
 

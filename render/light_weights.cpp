@@ -24,8 +24,14 @@ const float* LightGather::vector(const LightWeights& w, int pad, float* scratch_
     std::copy_n(own.data() + w.own, count, scratch_vector);
   else
     std::fill_n(scratch_vector, count, 0.f);
-  for (int i = 0; i < 4; ++i)
-    if (w.share[i] > 0) addScaled(scratch_vector, w.share[i], vectors[w.shared[i]], count);
+  if (w.share != std::array<float, 4>{}) {
+    // An unused one has share 0; any vector may stand in its place.
+    const std::size_t used =
+        std::find_if(w.share.begin(), w.share.end(), [](float f) { return f > 0; }) - w.share.begin();
+    std::array<const float*, 4> blended;
+    for (int i = 0; i < 4; ++i) blended[i] = vectors[w.shared[w.share[i] > 0 ? i : used]];
+    addBlend(scratch_vector, w.share, blended, count);
+  }
   for (std::uint32_t e = w.first_entry; e < w.first_entry + w.entries; ++e)
     for (int c = 0; c < 3; ++c) scratch_vector[c * pad + entries[e].light] += entries[e].weight[c];
   return scratch_vector;

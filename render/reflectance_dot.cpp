@@ -75,8 +75,10 @@ Rgb reflectanceDot(const std::uint16_t* block, int light_pad, const ShadingOpera
 
 #endif
 
-void addScaled(float* sum, float share, const float* vector, int count) {
-  for (int i = 0; i < count; ++i) sum[i] += share * vector[i];
+void addBlend(float* sum, const std::array<float, 4>& share, const std::array<const float*, 4>& vector, int count) {
+  for (int i = 0; i < count; ++i)
+    sum[i] = (((sum[i] + share[0] * vector[0][i]) + share[1] * vector[1][i]) + share[2] * vector[2][i]) +
+             share[3] * vector[3][i];
 }
 
 }  // namespace srf

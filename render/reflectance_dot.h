@@ -19,7 +19,8 @@ Rgb reflectanceDot(const std::uint16_t* block, int light_pad, const ShadingOpera
 std::array<double, 3> reflectanceDotReference(const std::uint16_t* block, int light_pad,
                                               const ShadingOperation& operation, const float* weights);
 
-/// sum[i] += share * vector[i] for i < count, a multiple of 16.
-void addScaled(float* sum, float share, const float* vector, int count);
+/// sum[i] += share[0] * vector[0][i] + .. + share[3] * vector[3][i] for i < count, a multiple of 16; terms in this
+/// order.
+void addBlend(float* sum, const std::array<float, 4>& share, const std::array<const float*, 4>& vector, int count);
 
 }  // namespace srf

@@ -72,7 +72,7 @@ class ViewSelection {
     std::vector<Weighted> weights;
     std::vector<ChosenView> tried;
   };
-  /// The views of a hit with weights that sum to 1, heaviest first. `allowed[i]`: view i may be used.
+  /// The views of a hit with weights that sum to 1, least penalty first. `allowed[i]`: view i may be used.
   Result select(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& scratch,
                 std::vector<ChosenView>& chosen) const;
 

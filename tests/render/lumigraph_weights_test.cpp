@@ -256,13 +256,18 @@ TEST(ViewSelection, MatchesBruteForceOverAllViews) {
       const auto& camera = field.views[i].camera;
       const Vec2 pixel = camera.project(query.p)->pixel;
       usable *= smoothstep(0, 4, std::min({pixel.x, pixel.y, 64 - pixel.x, 64 - pixel.y}));
-      usable *= std::max(0.05, dot(query.normal, camera.viewDirection(query.p)));
       if (usable > 0)
         all.push_back({viewPenalty(angleBetween(query.view, camera.viewDirection(query.p)),
                                    resolutionPenalty(distance(camera.center(), query.p), 2.5), usable),
                        i});
     }
-    const auto want = bruteForce(all, 4);
+    auto want = bruteForce(all, 4);
+    double sum = 0;
+    for (auto& [i, w] : want) {
+      const double facing = dot(query.normal, field.views[i].camera.viewDirection(query.p));
+      sum += w *= std::sqrt(std::max(0.05, facing));
+    }
+    for (auto& [i, w] : want) w /= sum;
     ASSERT_EQ(selection.select(query, allowed, scratch, chosen), ViewSelection::Result::seen);
     ASSERT_EQ(chosen.size(), want.size());
     for (const ChosenView& c : chosen) {
