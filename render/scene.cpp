@@ -189,7 +189,8 @@ std::vector<int> parseFrames(const std::string& text, const std::string& where) 
   const char* at = text.data();
   const char* const end = at + text.size();
   const auto fail = [&](const std::string& what) {
-    return badInput(where, "found '" + text + "', " + what + "expected frames such as 0-60, 0-60x2, 3 or 1,3,10-20");
+    return Error(where.starts_with("--") ? ErrorKind::usage : ErrorKind::bad_input,
+                 "found '" + text + "', " + what + "expected frames such as 0-60, 0-60x2, 3 or 1,3,10-20", where);
   };
   const auto number = [&] {
     int value = 0;

@@ -67,7 +67,8 @@ struct Scene {
 
 /// Reads scene.json; `overrides` are --set assignments. Throws bad_input naming file, key and what was expected.
 Scene readScene(const std::filesystem::path& file, const std::vector<std::string>& overrides, Reporter& reporter);
-/// "0-60", "0-60x2", "3", "1,3,10-20" to numbers, in the order given; throws usage-like bad_input naming `where`.
+/// "0-60", "0-60x2", "3", "1,3,10-20" to numbers, in the order given; throws bad_input naming `where`, or
+/// usage where that is an option ("--frames").
 std::vector<int> parseFrames(const std::string& text, const std::string& where);
 /// The file of a frame: #### (or %04d) replaced; a pattern without either gets .#### before its suffix.
 std::filesystem::path frameFile(const std::string& pattern, int frame);
