@@ -9,6 +9,7 @@
 #include <OpenEXR/ImfOutputFile.h>
 #include <OpenEXR/ImfStandardAttributes.h>
 #include <OpenEXR/ImfStringAttribute.h>
+#include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
 
 #include <algorithm>
@@ -69,15 +70,22 @@ std::size_t clampToHalf(float& value) {
   return 0;
 }
 
+// The libraries tell the cause in words alone.
+Error writeError(const std::filesystem::path& file, const std::string& text) {
+  const bool full = text.find("No space") != std::string::npos || text.find("too large") != std::string::npos;
+  return {full ? ErrorKind::out_of_budget : ErrorKind::failed,
+          "could not be written: " + text + (full ? "; make room or choose another place" : ""), file.string()};
+}
+
 void writeWithOiio(const std::filesystem::path& file, const OIIO::ImageSpec& spec, OIIO::TypeDesc type,
                    const void* data) {
-  PartialFile part(file);
+  // Encoded in memory: the library's own writer does not notice a full disk.
+  OIIO::Filesystem::IOVecOutput encoded;
   auto output = OIIO::ImageOutput::create("png");
-  if (!output || !output->open(part.path().string(), spec) || !output->write_image(type, data) || !output->close())
-    throw Error(ErrorKind::failed, "could not be written: " + (output ? output->geterror() : OIIO::geterror()),
-                file.string());
-  output.reset();
-  part.commit();
+  if (!output || !output->set_ioproxy(&encoded) || !output->open("memory.png", spec) ||
+      !output->write_image(type, data) || !output->close())
+    throw writeError(file, output ? output->geterror() : OIIO::geterror());
+  writeBinaryFile(file, encoded.buffer().data(), encoded.buffer().size());
 }
 
 }  // namespace
@@ -173,9 +181,7 @@ std::size_t writeExr(const std::filesystem::path& file, int width, int height, c
     output.setFrameBuffer(buffer);
     output.writePixels(height);
   } catch (const std::exception& e) {
-    const std::string text = e.what();
-    const bool full = text.find("No space") != std::string::npos || text.find("too large") != std::string::npos;
-    throw Error(full ? ErrorKind::out_of_budget : ErrorKind::failed, "could not be written: " + text, file.string());
+    throw writeError(file, e.what());
   }
   part.commit();
   return clamped;
