@@ -55,16 +55,16 @@ TEST(Middlebury, ProjectsAsKTimesRT) {
   EXPECT_EQ(capture.views[1].name, "b");
   EXPECT_EQ(capture.views[0].camera.lens.width, 64);
   EXPECT_EQ(capture.views[0].photos.at(0).light, LightId{0});
-  // x_c = (1.1, 1.8, 6): K x_c / z by hand.
+  // x_c = (1.1, 1.8, 6): K x_c / z by hand, and half a pixel: K counts from the centre of the first.
   const auto a = capture.views[0].camera.project(Point<AcquisitionSpace>(1, 2, 3));
   ASSERT_TRUE(a);
-  EXPECT_NEAR(a->pixel.x, (100 * 1.1 + 2 * 1.8) / 6 + 31, 1e-12);
-  EXPECT_NEAR(a->pixel.y, 110 * 1.8 / 6 + 25, 1e-12);
+  EXPECT_NEAR(a->pixel.x, (100 * 1.1 + 2 * 1.8) / 6 + 31.5, 1e-12);
+  EXPECT_NEAR(a->pixel.y, 110 * 1.8 / 6 + 25.5, 1e-12);
   EXPECT_NEAR(a->depth, 6, 1e-12);
   // R of b: x_c = (z, y, -x + 3).
   const auto b = capture.views[1].camera.project(Point<AcquisitionSpace>(1, 2, 3));
   ASSERT_TRUE(b);
-  EXPECT_NEAR(b->pixel.x, (100 * 3 + 2 * 2) / 2.0 + 31, 1e-12);
+  EXPECT_NEAR(b->pixel.x, (100 * 3 + 2 * 2) / 2.0 + 31.5, 1e-12);
   ASSERT_EQ(reporter.warnings().size(), 1u);  // no bounding box
   EXPECT_TRUE(holds(reporter.warnings()[0], "bounding box"));
 }
@@ -73,7 +73,7 @@ TEST(Middlebury, TheBoundingBoxComesFromTheReadme) {
   const test::TemporaryFolder folder;
   writeTextFile(folder / "x_par.txt", kPar);
   writeTextFile(folder / "README.txt",
-                "The (tight) bounding box for the model is\n(-0.04 0.5 -0.03)\n(0.03 0.08 0.9)\n\n(c) me\n");
+                "The (tight) bounding box (by hand) of the model is\n(-0.04 0.5 -0.03)\n(0.03 0.08 0.9)\n\n(c) me\n");
   writePhoto(folder / "a.png");
   const Capture capture = openCapture(folder.path(), Reporter::silent());
   ASSERT_TRUE(capture.bounds);
