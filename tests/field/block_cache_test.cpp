@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <barrier>
 #include <chrono>
 #include <random>
 #include <thread>
@@ -113,16 +114,40 @@ TEST_F(BlockCacheTest, ThreadsWaitForEachOtherWhereTheBudgetIsOneBlock) {
   EXPECT_EQ(cache.statistics().hits + cache.statistics().misses, 400u);
 }
 
-TEST_F(BlockCacheTest, ThreadsThatWantTheSameBlockReadItOnce) {
-  BlockCache cache = cacheOf(8);
+TEST_F(BlockCacheTest, AThreadWaitsUntilAnotherLetsItsBlockGo) {
+  BlockCache cache = cacheOf(1);
+  auto held = get(cache, 0);
+  std::atomic<bool> done = false;
+  std::jthread other([&] {
+    EXPECT_TRUE(right(get(cache, 1), 1));
+    done = true;
+  });
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));  // a cache that does not wait is done by now
+  EXPECT_FALSE(done);
+  held = {};
+  other.join();
+  EXPECT_TRUE(done);
+}
+
+TEST(BlockCache, ThreadsThatWantTheSameBlockReadItOnce) {
+  const test::TemporaryFolder folder;
+  const StoreGeometry g = smallGeometry(512);  // large blocks: reading one takes longer than starting the threads
+  test::writeSmallStore(folder / "v", g);
+  const ReflectanceStore store(folder / "v");
+  const ReflectanceStore* stores[] = {&store};
+  BlockCache cache(stores, 8 * g.blockBytes());
+  std::barrier start(4);
   std::vector<std::jthread> threads;
-  for (int t = 0; t < 8; ++t)
+  for (int t = 0; t < 4; ++t)
     threads.emplace_back([&] {
-      for (const int tile : {5, 6, 7}) EXPECT_TRUE(right(get(cache, tile), tile));
+      for (int tile = 3; tile < 8; ++tile) {
+        start.arrive_and_wait();
+        EXPECT_EQ(cache.get(ViewId{0}, tile % g.tiles_x, tile / g.tiles_x).halves()[0], randomBlock(g, tile)[0]);
+      }
     });
   threads.clear();
-  EXPECT_EQ(cache.statistics().misses, 3u);
-  EXPECT_EQ(cache.statistics().hits, 21u);
+  EXPECT_EQ(cache.statistics().misses, 5u);
+  EXPECT_EQ(cache.statistics().hits, 15u);
 }
 
 TEST_F(BlockCacheTest, ADamagedBlockIsAnErrorForEveryoneAndBlocksNobody) {

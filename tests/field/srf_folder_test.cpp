@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <nlohmann/json.hpp>
+#include <random>
 
 #include "base/files.h"
 #include "base/json.h"
@@ -97,6 +98,19 @@ TEST_F(SrfFolder, ManifestComesBackToTheBit) {
   EXPECT_EQ(m.model("m")->hash, manifest_.models[0].hash);
   EXPECT_EQ(m.model("other"), nullptr);
   EXPECT_EQ(m.active_model, "m");
+}
+
+TEST_F(SrfFolder, LightDirectionsComeBackToTheBit) {
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal;
+  manifest_.lights.resize(3);
+  for (int i = 0; i < 300; ++i) {
+    const Vector<AcquisitionSpace> v(normal(random), normal(random), normal(random));
+    manifest_.lights.push_back({.name = std::to_string(i), .direction = *normalize(v)});
+  }
+  writeManifest(folder_.path(), manifest_);
+  const SrfManifest m = readManifest(folder_.path());
+  for (std::size_t i = 3; i < m.lights.size(); ++i) EXPECT_EQ(m.lights[i].direction, manifest_.lights[i].direction);
 }
 
 TEST_F(SrfFolder, FilesThatNothingNamesAreRemovedAfterTheSwitch) {
