@@ -21,6 +21,7 @@ namespace {
 constexpr std::size_t kShown = 8;    // rows of one kind before the rest is summed up
 constexpr int kHullResolution = 64;  // cells: enough to tell a wrong view
 constexpr double kWideGap = 45;      // degrees without any view or light
+constexpr double kGood = 0.9;        // IoU in the middle below which many silhouettes lack something
 constexpr double kAgree = 0.8;       // IoU of silhouettes that belong together, at this resolution
 
 std::string text(const char* format, double a, double b = 0, double c = 0, double d = 0) {
@@ -466,6 +467,11 @@ void checkAgreement(const Capture& capture, const std::vector<SilhouetteView>& v
       section.warn(v.name, text("IoU with the hull of the others is %.2f, theirs %.2f", v.iou, middle),
                    "look at its silhouette and pose; acquire leaves it out or tolerates it");
   }
+  if (middle < kGood)
+    section.warn(capture.folder.string(),
+                 text("IoU with their hull is %.2f in the middle and %.2f at least", middle, least),
+                 "shadows may be cut out of the silhouettes: look at them, or let acquire keep what most views agree "
+                 "on (--tolerance 2)");
   section.finish(text("IoU with their hull %.3f in the middle, %.3f at least (at 64 cells)", middle, least));
 }
 
