@@ -100,7 +100,9 @@ ViewSelection::Result ViewSelection::select(const ViewQuery& query, std::span<co
     for (const std::uint32_t point : query.points) seen |= visible_.row(point)[w];
     for (; seen; seen &= seen - 1) {
       const auto view = static_cast<std::uint32_t>(64 * w + std::countr_zero(seen));
-      if (allowed[view] && consider(query, view, candidate)) open.push_back(candidate);
+      if (!allowed[view]) continue;
+      open.emplace_back();
+      if (!consider(query, view, open.back())) open.pop_back();
     }
   }
   std::make_heap(open.begin(), open.end(), further);
