@@ -236,17 +236,46 @@ std::string warnings(const PipelineReport& report) {
   return out + "</ul>\n";
 }
 
+// How to read the names; those that are not here speak for themselves.
+const std::map<std::string, std::string>& meanings() {
+  static const std::map<std::string, std::string> kMeanings{
+      {"pixels.nan", "pixels of photographs that are NaN or infinite: left out"},
+      {"pixels.clamped", "values beyond the range of half floats: clamped"},
+      {"pixels.negative", "pixels of photographs below 0"},
+      {"pixels.not_finite", "pixels of frames that came out NaN or infinite: a fault of the program"},
+      {"environment.unusable_texels", "texels of the map that are negative, NaN or infinite: taken as 0"},
+      {"hull.views_left_out", "views whose silhouettes contradict the others"},
+      {"hull.dust", "loose bits of the carved shape that were dropped"},
+      {"hull.iou.mean", "agreement with the silhouettes, mean; 1 is perfect"},
+      {"hull.iou.least", "the same, worst view"},
+      {"model.unseen_points", "points of the model that no view sees: shown by their neighbours' views"},
+      {"points.collapsed", "points whose deformed tangents gave no frame"},
+      {"points.mirrored", "points that the deformation mirrors"},
+      {"points.not_finite", "points that the deformation sends nowhere: dropped"},
+      {"frame.collapsed", "hits whose deformed tangents gave no frame"},
+      {"hits", "samples that met the object"},
+      {"hits.no_visible_view", "hits that no view sees: shown by the nearest view"},
+      {"hits.no_view", "hits that no photograph covers: left black"},
+      {"operations", "shading operations: a hit in a view under all its lights"},
+      {"light_vectors", "vectors of light weights made for them"},
+      {"cache.hits", "blocks found in memory"},
+      {"cache.misses", "blocks read from disk"},
+      {"cache.reread", "blocks read more than once: raise --memory where this is large"},
+      {"cache.bytes_read", "read from disk, bytes"},
+      {"cache.peak_bytes", "most decoded blocks held at once, bytes"}};
+  return kMeanings;
+}
+
 std::string counters(const PipelineReport& report) {
   std::string out = "<h2>Counters and figures</h2>\n<table>\n";
-  for (const auto& [name, count] : report.counters)
-    out += "<tr><td>" + escaped(name) +
-           format("</td><td class=\"n\">%llu</td></tr>\n", static_cast<unsigned long long>(count));
-  for (const auto& [name, value] : report.figures)
-    out += "<tr><td>" + escaped(name) + format("</td><td class=\"n\">%.6g</td></tr>\n", value);
-  return out +
-         "</table>\n<p class=\"note\">Counts of what was met on the way, over all frames. None of them is a failure; a "
-         "count that is a "
-         "large share of its kind (pixels that are not finite, tangents that collapsed) is worth a look.</p>\n";
+  const auto line = [&](const std::string& name, const std::string& value) {
+    const auto meaning = meanings().find(name);
+    out += "<tr><td>" + escaped(name) + "</td><td class=\"n\">" + value + "</td><td class=\"note\">" +
+           (meaning == meanings().end() ? "" : meaning->second) + "</td></tr>\n";
+  };
+  for (const auto& [name, count] : report.counters) line(name, std::to_string(count));
+  for (const auto& [name, value] : report.figures) line(name, format("%.6g", value));
+  return out + "</table>\n<p class=\"note\">Summed over all frames that the last run rendered.</p>\n";
 }
 
 }  // namespace
