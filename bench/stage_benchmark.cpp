@@ -162,13 +162,13 @@ int main(int argc, char** argv) {
         return static_cast<double>((a == counters.end() ? 0 : a->second) - (b == counted.end() ? 0 : b->second));
       };
       operations += taken("operations") / repeats, hits += taken("hits") / repeats;
-      counted = counters;
       if (model.kind == ModelKind::mesh) {
         const BareEmbree bare(deformed.positions(), model.triangles, scene.cameraAt(frame));
         bare.trace();
         embree.add(bench::milliseconds([&] { bare.trace(); }));
       }
       const std::size_t taps = static_cast<std::size_t>(4 * taken("operations"));
+      counted = counters;
       dot.add(bench::milliseconds([&] {
         parallelFor(taps, 1 << 14,
                     [&](std::size_t a, std::size_t b) { sink = bareDot(texels, lights, a, b, weights); });

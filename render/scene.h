@@ -45,7 +45,7 @@ struct Accuracy {
   int views = 4;   ///< k nearest views
   int lights = 4;  ///< k nearest acquired lights
   FrameMode frame = FrameMode::bisector;
-  double light_sharing = 1;    ///< degrees over which rotated light weights are shared; 0: exact
+  double light_sharing = 2;    ///< degrees over which rotated light weights are shared; 0: exact
   double min_distance = 1e-3;  ///< least distance of a point light in A(d), of the object's diameter
 };
 
