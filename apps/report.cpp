@@ -204,12 +204,11 @@ std::string lightMap(const PipelineReport& report) {
   out += report.field.unknownIllumination() ? "squares are views. The light of the photographs is unknown, so there is "
                                               "none to draw: this field can be lit as it was "
                                               "photographed alone."
-                                            : "yellow dots are acquired lights, blue squares are views.";
+                                            : "yellow dots are acquired lights, blue squares are views. Highlights are "
+                                              "blurred over the distance between lights.";
   return out +
          " Areas are true, rings stand at 30 and 60 degrees from the pole. Where a region holds neither, what is shown "
-         "from "
-         "there or lit from there is extrapolated from its neighbours; highlights are blurred over the distance "
-         "between lights.</p>\n";
+         "from there or lit from there is extrapolated from its neighbours.</p>\n";
 }
 
 std::string timings(const PipelineReport& report) {

@@ -12,6 +12,7 @@
 #include <fstream>
 #include <limits>
 #include <nlohmann/json.hpp>
+#include <regex>
 #include <thread>
 
 #include "base/files.h"
@@ -496,6 +497,21 @@ TEST(Pipeline, MakesFieldFramesSheetAndReportAndThenOnlyWhatIsLeft) {
   surfels.insert(surfels.end(), {"--kind", "surfels"});
   ASSERT_EQ(run(surfels).code, 0);
   EXPECT_NE(slurp(folder / "out/report.html").find("surfels"), std::string::npos);
+}
+
+// ---- Papers --------------------------------------------------------------------------------------------------------
+
+TEST(PatentMap, NamesTestsThatExist) {
+  const fs::path root = SRF_SOURCE_DIR;
+  std::string tests;
+  for (const auto& entry : fs::recursive_directory_iterator(root / "tests"))
+    if (entry.path().extension() == ".cpp") tests += slurp(entry.path());
+  const std::string page = slurp(root / "doc/patent_map.md");
+  const std::regex name("`([A-Z][A-Za-z]+)\\.([A-Z][A-Za-z0-9]+)`");
+  int found = 0;
+  for (std::sregex_iterator it(page.begin(), page.end(), name), end; it != end; ++it, ++found)
+    EXPECT_NE(tests.find("(" + it->str(1) + ", " + it->str(2) + ")"), std::string::npos) << it->str();
+  EXPECT_GT(found, 40);
 }
 
 }  // namespace
