@@ -10,7 +10,7 @@
 namespace srf {
 namespace {
 
-constexpr int kPadding = 4;                // pixels kept around the silhouette's box
+constexpr int kPadding = 24;               // pixels kept around the silhouette's box
 constexpr double kSoftBlur = 0.6;          // pixels; standard deviation
 constexpr double kHardBlur = 1.4;          // for masks without soft values: evens out the stairs
 constexpr double kBoxVariance = 1.0 / 12;  // of a pixel's area across an edge, at any angle of the edge
@@ -62,6 +62,7 @@ SignedSilhouette::SignedSilhouette(const Image8& mask) {
       }
   SRF_CHECK(right >= left);
   cropped_ = left == 0 || top == 0 || right == mask.width() - 1 || bottom == mask.height() - 1;
+  const int inner[4] = {left, top, right, bottom};
   left = std::max(left - kPadding, 0), right = std::min(right + kPadding, mask.width() - 1);
   top = std::max(top - kPadding, 0), bottom = std::min(bottom + kPadding, mask.height() - 1);
   const cv::Rect box(left, top, right - left + 1, bottom - top + 1);
@@ -75,6 +76,9 @@ SignedSilhouette::SignedSilhouette(const Image8& mask) {
 
   distance_ = ImageF(std::max(box.width, 2), std::max(box.height, 2), 1);
   left_ = left, top_ = top, last_x_ = distance_.width() - 1, last_y_ = distance_.height() - 1;
+
+  inner_left_ = inner[0] - left, inner_right_ = inner[2] - left;
+  inner_top_ = inner[1] - top, inner_bottom_ = inner[3] - top;
 
   // Near pixels have their distance from the blurred value; each gives a piece of the contour.
   const float low = static_cast<float>(0.5 * std::erfc(kNear / sigma / std::sqrt(2.0)));

@@ -11,11 +11,11 @@ namespace srf {
 class SignedSilhouette {
  public:
   /// `mask`: coverage, 0 outside, 255 inside; neither empty nor all inside. On a straight edge of exact coverage the
-  /// contour is met within 0.02 pixels; masks without soft values are smoothed by one pixel first.
+  /// contour is met within 0.05 pixels; masks without soft values are smoothed a little more.
   explicit SignedSilhouette(const Image8& mask);
 
-  /// The distance at a pixel position (bilinear; the first pixel's centre is at 0.5, 0.5). Beyond the box, of its
-  /// continuation: sqrt(distance at the box^2 + distance to the box^2), a lower bound without a jump.
+  /// The distance at a pixel position (bilinear; the first pixel's centre is at 0.5, 0.5). Beyond the kept box a lower
+  /// bound that continues it without a jump, from the distances to that box and to the silhouette's own.
   double at(double x, double y) const {
     const double u = x - 0.5 - left_, v = y - 0.5 - top_;
     const double cu = u < 0 ? 0 : u > last_x_ ? last_x_ : u, cv = v < 0 ? 0 : v > last_y_ ? last_y_ : v;
@@ -26,16 +26,20 @@ class SignedSilhouette {
     const float* next = row + distance_.width();
     const double upper = row[0] + s * (row[1] - row[0]), lower = next[0] + s * (next[1] - next[0]);
     const double inside = upper + t * (lower - upper);
-    if (u == cu && v == cv) return inside;
-    const double beyond = (u - cu) * (u - cu) + (v - cv) * (v - cv);
-    return std::copysign(std::sqrt(inside * inside + beyond), inside);
+    // Half a pixel beyond the outer centres is still the picture.
+    const double over_x = std::fmax(std::fabs(u - cu) - 0.5, 0), over_y = std::fmax(std::fabs(v - cv) - 0.5, 0);
+    if (over_x == 0 && over_y == 0) return inside;
+    const double x_out = std::fmax(std::fmax(inner_left_ - u, u - inner_right_), 0);
+    const double y_out = std::fmax(std::fmax(inner_top_ - v, v - inner_bottom_), 0);
+    return std::fmax(std::hypot(over_x, over_y, inside), std::hypot(x_out, y_out) - 1);
   }
   /// Whether the silhouette reaches the picture's edge: the object may go on outside.
   bool cropped() const { return cropped_; }
 
  private:
   ImageF distance_;
-  double left_ = 0, top_ = 0, last_x_ = 0, last_y_ = 0;  ///< of the box, pixels
+  double left_ = 0, top_ = 0, last_x_ = 0, last_y_ = 0;                         ///< of the kept box, pixels
+  double inner_left_ = 0, inner_top_ = 0, inner_right_ = 0, inner_bottom_ = 0;  ///< of the silhouette in it
   bool cropped_ = false;
 };
 

@@ -15,21 +15,25 @@ constexpr double kDeep = 2.0;   // cells: views deeper inside than this do not m
 constexpr double kEnd = 0.02;   // of an edge: vertices stay this far from its ends, so that no triangle has zero area
 constexpr double kMarginOfStretch = 1.1;  // the lens is sampled, not bounded
 
-// Most pixels per unit of x/z, y/z, sampled over the picture and a margin around it.
+// Most pixels that the picture moves by when x/z, y/z move by one (orthographic: x, y; fisheye: the direction, by one
+// radian). Lenses are sampled over the picture and a margin around it.
 double stretchOf(const Intrinsics& lens) {
   const double focal = std::max(lens.fl_x, lens.fl_y) + std::fabs(lens.skew);
   if (lens.model == CameraModel::pinhole || lens.isOrthographic()) return focal;
   constexpr int kSamples = 24;
   constexpr double kStep = 1e-5, kAround = 0.15;
+  const bool fisheye = lens.model == CameraModel::opencv_fisheye;
   double most = focal;
   for (int j = 0; j <= kSamples; ++j)
     for (int i = 0; i <= kSamples; ++i) {
       const auto along = [](int k) { return (1 + 2 * kAround) * k / kSamples - kAround; };
       const auto ray = lens.unproject({along(i) * lens.width, along(j) * lens.height});
-      if (!ray || !(ray->raw().z > 0)) continue;
-      const Vec3 p = ray->raw() / ray->raw().z;
-      const auto a = lens.project(Point<CameraSpace>(p)), b = lens.project(Point<CameraSpace>(p + Vec3{kStep, 0, 0})),
-                 c = lens.project(Point<CameraSpace>(p + Vec3{0, kStep, 0}));
+      if (!ray || (!fisheye && !(ray->raw().z > 0))) continue;
+      const Vec3 p = fisheye ? ray->raw() : ray->raw() / ray->raw().z;
+      const Vec3 across = fisheye ? anyPerpendicular(*ray).raw() : Vec3{1, 0, 0};
+      const Vec3 down = fisheye ? cross(p, across) : Vec3{0, 1, 0};
+      const auto a = lens.project(Point<CameraSpace>(p)), b = lens.project(Point<CameraSpace>(p + kStep * across)),
+                 c = lens.project(Point<CameraSpace>(p + kStep * down));
       if (!a || !b || !c) continue;
       most = std::max(
           most,
@@ -279,9 +283,14 @@ class SilhouetteField::Carver {
     const LatticeView& view = views_[index];
     const View& source = field_.views_[index];
     double reach = source.stretch * radius, nearest = 1;  // pixels; weight of the ball's nearest point
-    if (!source.camera.lens.isOrthographic()) {
+    if (source.camera.lens.model == CameraModel::opencv_fisheye) {
+      const double away = length(inCamera(view, center).raw());
+      nearest = away - radius;
+      if (!(nearest > 1e-6 * radius)) return Verdict::unsure;
+      reach = source.stretch * std::asin(radius / away);
+    } else if (!source.camera.lens.isOrthographic()) {
       const Vec3 c = inCamera(view, center).raw();
-      if (c.z <= -radius && source.camera.lens.model != CameraModel::opencv_fisheye) return Verdict::unseen;
+      if (c.z <= -radius) return Verdict::unseen;
       nearest = c.z - radius;
       if (!(nearest > 1e-6 * radius)) return Verdict::unsure;
       // |d(x/z, y/z)| <= |d| sqrt(1 + (x^2 + y^2) / z^2) / (z - |d|)

@@ -48,7 +48,7 @@ class SilhouetteField {
   struct View {
     Camera<AcquisitionSpace> camera;
     const SignedSilhouette* silhouette;
-    double stretch;  ///< most pixels that the picture moves by when x/z, y/z (orthographic: x, y) move by one
+    double stretch;  ///< pixels: bounds how far a movement of the point moves its picture
   };
   class Carver;
   std::vector<View> views_;

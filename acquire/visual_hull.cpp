@@ -130,8 +130,9 @@ Box3 guessBounds(const HullViews& views) {
   return box;
 }
 
-Box3 occupied(const HullViews& views, int tolerance, const Box3& box) {
-  const double cell = maxComponent(box.max - box.min) / (128 * kBrick);
+// The part of the box that the views leave, to `steps` along its longest side.
+Box3 occupied(const HullViews& views, int tolerance, const Box3& box, int steps) {
+  const double cell = maxComponent(box.max - box.min) / (steps * kBrick);
   Box3 found = makeField(views, tolerance, box).occupied(latticeAround(box, cell));
   for (int i = 0; i < 3; ++i) {
     found.min[i] = std::max(found.min[i], box.min[i]);
@@ -142,13 +143,15 @@ Box3 occupied(const HullViews& views, int tolerance, const Box3& box) {
 
 // A tight box about what the views leave. Where no bounds are given the guess grows until the hull stays off its faces.
 Box3 tightBounds(const HullViews& views, int tolerance, const std::optional<Box3>& given) {
-  if (given) return occupied(views, tolerance, *given);
+  constexpr int kRough = 32, kFine = 64;
+  if (given) return occupied(views, tolerance, *given, kFine);
   Box3 box = guessBounds(views);
   for (int round = 0;; ++round) {
-    const Box3 found = occupied(views, tolerance, box);
+    const Box3 found = occupied(views, tolerance, box, kRough);
     const double margin = 0.02 * maxComponent(box.max - box.min);
     const bool touches = minComponent(found.min - box.min) < margin || minComponent(box.max - found.max) < margin;
-    if (found.empty() || !touches || round == 4) return found.empty() ? found : occupied(views, tolerance, found);
+    if (found.empty()) return found;
+    if (!touches || round == 4) return occupied(views, tolerance, found, kFine);
     const Vec3 more = 0.3 * (box.max - box.min);
     box.min -= more, box.max += more;
   }
