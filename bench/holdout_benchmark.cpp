@@ -69,9 +69,10 @@ int main(int argc, char** argv) {
   Program program("holdout-benchmark", "predicts left-out views of a one-light capture",
                   "GPL-3.0-or-later (links CGAL)");
   std::string folder;
-  int every = 4;
+  int every = 4, tolerance = 0;
   program.app().add_option("CAPTURE", folder, "a capture of one unknown illumination")->required();
   program.app().add_option("--every", every, "every n-th view is left out")->check(CLI::Range(2, 1000));
+  program.app().add_option("--tolerance", tolerance, "views that may disagree at a point without carving it away");
   return program.run(argc, argv, [&](Reporter& reporter) {
     const Capture all = openCapture(folder, reporter);
     Capture kept = all;
@@ -90,6 +91,7 @@ int main(int argc, char** argv) {
     const auto srf_folder = work / "x.srf";
     AcquireOptions options;
     options.memory_bytes = program.memoryBudget();
+    options.hull.tolerance = tolerance;
     acquireField(kept, srf_folder, options, reporter);
     makeModel(srf_folder, "hull", {}, reporter);
     const SrfManifest field = readManifest(srf_folder);
@@ -102,6 +104,8 @@ int main(int argc, char** argv) {
     FrameLights lights;
     lights.rest = {{LightId{0}, 1.0}};
 
+    // Of all views at once, as acquisition makes them: the threshold is steadier than one view's own.
+    const std::vector<SilhouetteView> masks = silhouettes(all, options.silhouette, reporter);
     double sums[3] = {}, flips[3] = {};
     std::printf("| view | interpolated, dB / FLIP | nearest photograph | average of four |\n|---|---|---|---|\n");
     for (const std::size_t view : held_out) {
@@ -111,7 +115,7 @@ int main(int argc, char** argv) {
           Orthogonal<ObjectSpace, CameraSpace>(all.views[view].camera.pose.rotation().raw()),
           Point<ObjectSpace>(all.views[view].camera.center().raw()));
       const Frame frame = renderer.render(camera, deformed, lights);
-      const Image8 silhouette_mask = silhouette(all, ViewId{static_cast<std::uint32_t>(view)}, {}, reporter);
+      const Image8& silhouette_mask = masks[view].mask;
       ImageF mask(camera.lens.width, camera.lens.height, 1), rendered(camera.lens.width, camera.lens.height, 3);
       for (int y = 0; y < mask.height(); ++y)
         for (int x = 0; x < mask.width(); ++x) {
