@@ -14,7 +14,7 @@ constexpr int kPadding = 24;               // pixels kept around the silhouette'
 constexpr double kSoftBlur = 0.6;          // pixels; standard deviation
 constexpr double kHardBlur = 1.4;          // for masks without soft values: evens out the stairs
 constexpr double kBoxVariance = 1.0 / 12;  // of a pixel's area across an edge, at any angle of the edge
-constexpr float kNear = 0.75f;             // pixels: where the blurred value itself tells the distance
+constexpr float kNear = 1.0f;              // pixels: where the blurred value itself tells the distance
 constexpr float kFootprint = 0.6f;         // pixels: half length of the piece of contour that a near pixel stands for
 
 // The blurred step of an edge at signed distance d is the normal distribution at -d / sigma.

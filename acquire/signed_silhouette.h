@@ -11,7 +11,7 @@ namespace srf {
 class SignedSilhouette {
  public:
   /// `mask`: coverage, 0 outside, 255 inside; neither empty nor all inside. On a straight edge of exact coverage the
-  /// contour is met within 0.05 pixels; masks without soft values are smoothed a little more.
+  /// contour is met within 0.06 pixels; masks without soft values are smoothed a little more.
   explicit SignedSilhouette(const Image8& mask);
 
   /// The distance at a pixel position (bilinear; the first pixel's centre is at 0.5, 0.5). Beyond the kept box a lower

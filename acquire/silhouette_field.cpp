@@ -13,7 +13,7 @@ namespace {
 constexpr double kSlack = 1.0;  // pixels that a silhouette's distance may jump by between pixels (thin parts)
 constexpr double kDeep = 2.0;   // cells: views deeper inside than this do not matter at the surface
 constexpr double kEnd = 0.02;   // of an edge: vertices stay this far from its ends, so that no triangle has zero area
-constexpr double kMarginOfStretch = 1.1;  // the lens is sampled, not bounded
+constexpr double kMarginOfStretch = 1.05;  // the lens is sampled, not bounded
 
 // Most pixels that the picture moves by when x/z, y/z move by one (orthographic: x, y; fisheye: the direction, by one
 // radian). Lenses are sampled over the picture and a margin around it.
@@ -35,9 +35,10 @@ double stretchOf(const Intrinsics& lens) {
       const auto a = lens.project(Point<CameraSpace>(p)), b = lens.project(Point<CameraSpace>(p + kStep * across)),
                  c = lens.project(Point<CameraSpace>(p + kStep * down));
       if (!a || !b || !c) continue;
-      most = std::max(
-          most,
-          std::sqrt(square(b->x - a->x) + square(b->y - a->y) + square(c->x - a->x) + square(c->y - a->y)) / kStep);
+      // The larger singular value of the 2 x 2 Jacobian.
+      const double ax = (b->x - a->x) / kStep, ay = (b->y - a->y) / kStep, dx = (c->x - a->x) / kStep,
+                   dy = (c->y - a->y) / kStep, half = 0.5 * (ax * ax + ay * ay + dx * dx + dy * dy);
+      most = std::max(most, std::sqrt(half + std::sqrt(std::max(0.0, half * half - square(ax * dy - ay * dx)))));
     }
   return kMarginOfStretch * most;
 }
