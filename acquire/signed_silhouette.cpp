@@ -11,7 +11,7 @@ namespace srf {
 namespace {
 
 constexpr int kPadding = 24;               // pixels kept around the silhouette's box
-constexpr double kSoftBlur = 0.6;          // pixels; standard deviation
+constexpr double kSoftBlur = 0.7;          // pixels; standard deviation
 constexpr double kHardBlur = 1.4;          // for masks without soft values: evens out the stairs
 constexpr double kBoxVariance = 1.0 / 12;  // of a pixel's area across an edge, at any angle of the edge
 constexpr float kNear = 1.0f;              // pixels: where the blurred value itself tells the distance
