@@ -66,9 +66,10 @@ inline Vec3 cross(const Vec3& a, const Vec3& b) {
           differenceOfProducts(a.x, b.y, a.y, b.x)};
 }
 
-/// Euclidean length, without overflow or underflow of the squares.
+/// Euclidean length, without overflow or underflow of the squares: the plain root where they are far from either.
 inline double length(const Vec3& a) {
-  return std::hypot(a.x, a.y, a.z);
+  const double squared = dot(a, a);
+  return squared > 1e-250 && squared < 1e250 ? std::sqrt(squared) : std::hypot(a.x, a.y, a.z);
 }
 inline bool isFinite(const Vec3& a) {
   return std::isfinite(a.x) && std::isfinite(a.y) && std::isfinite(a.z);
