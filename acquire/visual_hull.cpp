@@ -22,6 +22,7 @@ constexpr int kLeastCells = 64, kMostCells = 512;  // along the longest side, wh
 constexpr int kCoarseCells = 96;                   // where the views are compared with each other
 constexpr double kOutlierGap = 0.05;               // of IoU below the median, at least
 constexpr double kCoveredByOthers = 0.97;          // share of a usual mask that a trial hull must cover
+constexpr double kCarvedTooMuch = 0.95;            // share of a usual mask covered, below which the user is told
 constexpr double kDust = 1e-6;                     // of the volume
 constexpr int kSmoothing = 10;                     // Taubin steps for the normals
 
@@ -341,7 +342,15 @@ VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullO
   hull.mesh.normals = vertexNormals(smoothed(hull.mesh, kSmoothing));
 
   hull.views = silhouetteConsistency(hull.mesh, views);
-  for (std::size_t i = 0; i < views.size(); ++i) hull.views[i].excluded = excluded[i];
+  std::vector<double> covered;
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    hull.views[i].excluded = excluded[i];
+    if (!excluded[i]) covered.push_back(hull.views[i].covered);
+  }
+  if (median(covered) < kCarvedTooMuch)
+    reporter.warn("the hull covers only " + percent(median(covered)) +
+                  " of a usual silhouette: parts that some views miss are carved away; mend those masks, or let " +
+                  std::to_string(options.tolerance + 2) + " views be overruled at every point (tolerance)");
   reporter.figure("hull.volume", meshVolume(hull.mesh));
   reporter.figure("hull.triangles", static_cast<double>(hull.mesh.triangles.size()));
   reporter.figure("hull.cell", hull.cell);
