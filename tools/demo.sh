@@ -15,7 +15,7 @@ if [[ ! -e $capture/transforms.json ]]; then
   "$srf" synth -o "$capture" --object torus --material plastic --views 48 --lights 64 --size 160
 fi
 echo "== photographs to animation"
-"$srf" pipeline "$capture" --scene tools/demo/scene.json -o demo
+"$srf" pipeline "$capture" --scene tools/demo/scene.json -o demo > /dev/null
 
 echo
 echo "demo/report.html        how it went, and what to look at"
