@@ -15,8 +15,10 @@ namespace fs = std::filesystem;
 constexpr int kMargin = 2;      // texels around the mask: neighbours of a bilinear fetch
 constexpr float kMost = 65504;  // largest half
 constexpr double kDark = 0.02;  // of the object's level: a background below it is black
-constexpr int kKeepOff =
-    3;  // pixels around the silhouette that are no sure background (lens blur, a mask a bit too small)
+// Pixels around the silhouette that are no sure background: lens blur, a mask a bit too small.
+constexpr int kKeepOff = 3;
+// Pixels at the edge of a thresholded mask: the blur of sharp photographs.
+constexpr int kRim = 2;
 
 Error wrongSize(const Capture& capture, const CaptureView& view, const fs::path& file, int width, int height) {
   const Intrinsics& lens = view.camera.lens;
@@ -47,14 +49,14 @@ StoreGeometry geometryOf(const CaptureView& view, const Image8& mask, int light_
   return g;
 }
 
-// Sets pixels whose neighbourhood of kKeepOff pixels holds some mask.
-Image8 widened(const Image8& mask) {
+// Sets pixels whose neighbourhood of `reach` pixels holds some mask.
+Image8 widened(const Image8& mask, int reach) {
   Image8 rows(mask.width(), mask.height(), 1), out(mask.width(), mask.height(), 1);
   const auto spread = [&](const Image8& from, Image8& to, int dx, int dy) {
     for (int y = 0; y < mask.height(); ++y)
       for (int x = 0; x < mask.width(); ++x) {
         if (from.at(x, y) == 0) continue;
-        for (int k = -kKeepOff; k <= kKeepOff; ++k) {
+        for (int k = -reach; k <= reach; ++k) {
           const int u = x + k * dx, v = y + k * dy;
           if (u >= 0 && u < mask.width() && v >= 0 && v < mask.height()) to.at(u, v) = 255;
         }
@@ -65,13 +67,33 @@ Image8 widened(const Image8& mask) {
   return out;
 }
 
+// Whether the mask was found by a threshold in the photographs: it has no soft values then.
+bool isSegmented(const CaptureView& view, const Image8& mask) {
+  return view.mask_file.empty() &&
+         std::all_of(mask.data().begin(), mask.data().end(), [](std::uint8_t v) { return v == 0 || v == 255; });
+}
+
+// A threshold takes in all that stands out of the background, so the outermost pixels are mixed with it, by an unknown
+// share: a dark rim that shows as a seam where the surface turns. They are left out, but for parts so thin that nothing
+// would remain.
+Image8 withoutRim(const Image8& mask) {
+  Image8 outside = mask;
+  for (std::uint8_t& v : outside.data()) v = 255 - v;
+  Image8 kept = widened(outside, kRim);
+  for (std::uint8_t& v : kept.data()) v = 255 - v;
+  const Image8 near = widened(kept, 2 * kRim);
+  for (std::size_t i = 0; i < mask.data().size(); ++i)
+    if (near.data()[i] == 0) kept.data()[i] = mask.data()[i];
+  return kept;
+}
+
 // Whether edge pixels may be taken as the object's light times coverage. Each pixel's mean over the photographs
 // decides: single lights leave much of the object dark and noise in the rest, the mean is free of both. The 99th
 // percentile of the sure background is compared with the median of the object, so that a few stray reflections do not
 // decide, but a lit table or wall in a part of the picture does. Where no sure background is in sight the answer is no,
 // the cautious one.
 bool hasBlackBackground(const ImageF& sum, const Image8& mask) {
-  const Image8 near = widened(mask);
+  const Image8 near = widened(mask, kKeepOff);
   std::vector<float> object, background;
   for (std::size_t i = 0; i < mask.data().size(); ++i) {
     if (mask.data()[i] == 255) object.push_back(sum.data()[i]);
@@ -127,7 +149,7 @@ class Registration {
  private:
   // All that the store depends on goes into its name.
   std::string fileName() const {
-    std::string identity = "1";  // raise it when registration changes what it writes
+    std::string identity = "2";  // raise it when registration changes what it writes
     const auto add = [&](const auto& value) { identity.append(reinterpret_cast<const char*>(&value), sizeof value); };
     for (const Photo* photo : photos_) {
       std::error_code code;
@@ -142,7 +164,7 @@ class Registration {
     add(view_.camera.pose.rotation().raw());
     add(view_.camera.pose.origin().raw());
     for (const int x : {static_cast<int>(c.model), c.width, c.height, static_cast<int>(options_.compress),
-                        static_cast<int>(capture_.integer_transfer)})
+                        static_cast<int>(capture_.integer_transfer), static_cast<int>(isSegmented(view_, mask_))})
       add(x);
     const std::uint64_t seed = contentHash(mask_.data().data(), mask_.data().size());
     char number[16];
@@ -244,11 +266,12 @@ class Registration {
   }
 
   std::uint64_t write(const fs::path& file) {
+    const Image8 mask = isSegmented(view_, mask_) ? withoutRim(mask_) : mask_;
     coverage_ = Image8(geometry_.cropWidth(), geometry_.cropHeight(), 1);
     for (int y = 0; y < coverage_.height(); ++y)
       for (int x = 0; x < coverage_.width(); ++x) {
         const int u = x + geometry_.crop_x, v = y + geometry_.crop_y;
-        if (u < mask_.width() && v < mask_.height()) coverage_.at(x, y) = mask_.at(u, v);
+        if (u < mask_.width() && v < mask_.height()) coverage_.at(x, y) = mask.at(u, v);
       }
     sum_ = ImageF(mask_.width(), mask_.height(), 1);
 

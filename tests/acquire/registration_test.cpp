@@ -133,6 +133,26 @@ TEST_F(RegistrationTest, EveryCoveredTexelHoldsItsPixelToHalfPrecision) {
   EXPECT_GT(covered, 100);
 }
 
+TEST_F(RegistrationTest, AThresholdedMaskLosesItsRimButNotItsThinParts) {
+  Image8 mask(kWidth, kHeight, 1);
+  for (int y = 20; y < 40; ++y)
+    for (int x = 20; x < 40; ++x) mask.at(x, y) = 255;
+  for (int x = 40; x < 60; ++x) mask.at(x, 30) = 255;  // a wire
+  const auto covered = [&](int x, int y) {
+    Reporter::Stage stage(reporter_, "register", 3);
+    const ReflectanceStore store(folder_ /
+                                 registerView(capture_, ViewId{2}, mask, folder_.path(), {}, stage, reporter_).file);
+    return store.coverage().at(x - store.geometry().crop_x, y - store.geometry().crop_y);
+  };
+  EXPECT_EQ(covered(20, 25), 255);  // the mask is a file's
+  capture_.views[2].mask_file.clear();
+  EXPECT_EQ(covered(20, 25), 0);
+  EXPECT_EQ(covered(21, 25), 0);
+  EXPECT_EQ(covered(22, 25), 255);
+  EXPECT_EQ(covered(30, 30), 255);
+  EXPECT_EQ(covered(55, 30), 255);
+}
+
 TEST_F(RegistrationTest, ALittleMemoryChangesNothingInTheStore) {
   const StoredView whole = registered(0);
   fs::remove(folder_ / whole.file);
