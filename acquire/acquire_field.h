@@ -13,10 +13,10 @@ namespace srf {
 struct AcquireOptions {
   SilhouetteOptions silhouette;
   HullOptions hull;
-  bool make_hull = true;       ///< false where the model will come from another shape
+  bool make_hull = true;  ///< false where the model will come from another shape
   bool compress = true;
   std::size_t memory_bytes = std::size_t{1} << 30;
-  std::string command;         ///< recorded in the manifest
+  std::string command;  ///< recorded in the manifest
 };
 
 /// Writes `out` (X.srf) and returns its manifest. An existing SRF there is replaced only when the new one is whole;

@@ -17,7 +17,8 @@ struct ImportedShape {
 };
 
 /// "sphere", "box", "cylinder", "plane", "torus" fitted into `bounds` (the object's box, e.g. of the hull; the axis of
-/// cylinder and torus is the box's odd one out, else z), finely tessellated with exact normals. Nothing for another name.
+/// cylinder and torus is the box's odd one out, else z), finely tessellated with exact normals. Nothing for another
+/// name.
 std::optional<ImportedShape> parametricShape(const std::string& name, const Box<AcquisitionSpace>& bounds,
                                              Reporter& reporter);
 /// Reads a PLY/OBJ. With faces: cleaned, oriented outwards, holes reported. Without: a point cloud becomes a surface

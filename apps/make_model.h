@@ -8,9 +8,9 @@
 
 namespace srf {
 
-/// `shape`: "hull", a parametric name (sphere, box, cylinder, plane, torus) or a mesh or point file. Stores the model under
-/// `name` (empty: "mesh" or "surfels"), makes it the active one and returns it.
-DeformableModel makeModel(const std::filesystem::path& srf_folder, const std::string& shape, const ModelOptions& options,
-                          Reporter& reporter, const std::string& name = "");
+/// `shape`: "hull", a parametric name (sphere, box, cylinder, plane, torus) or a mesh or point file. Stores the model
+/// under `name` (empty: "mesh" or "surfels"), makes it the active one and returns it.
+DeformableModel makeModel(const std::filesystem::path& srf_folder, const std::string& shape,
+                          const ModelOptions& options, Reporter& reporter, const std::string& name = "");
 
 }  // namespace srf

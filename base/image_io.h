@@ -42,8 +42,8 @@ struct ExrChannel {
 using Attributes = std::map<std::string, std::string>;  ///< string attributes of the header
 
 /// Writes beside `file` and renames; values beyond half range are clamped and counted (the count is returned); NaN
-/// never passes: it is a broken promise of the caller and is written as 0 and counted too. The attribute `framesPerSecond`, a
-/// number, is written as OpenEXR's own rational.
+/// never passes: it is a broken promise of the caller and is written as 0 and counted too. The attribute
+/// `framesPerSecond`, a number, is written as OpenEXR's own rational.
 std::size_t writeExr(const std::filesystem::path& file, int width, int height, const std::vector<ExrChannel>& channels,
                      const Attributes& attributes = {});
 /// RGB or RGBA or grey float image as half EXR.

@@ -47,9 +47,9 @@ std::vector<Direction<AcquisitionSpace>> vertexNormals(const AcquisitionMesh& me
 
 /// What the connectivity says.
 struct MeshTopology {
-  bool closed = false;            ///< every edge has two triangles
-  bool manifold = false;          ///< edges have at most two triangles, one fan a vertex
-  bool oriented = false;          ///< neighbours agree on the winding
+  bool closed = false;    ///< every edge has two triangles
+  bool manifold = false;  ///< edges have at most two triangles, one fan a vertex
+  bool oriented = false;  ///< neighbours agree on the winding
   int components = 0;
   long euler_characteristic = 0;  ///< V - E + F of the used vertices; 2 - 2 genus for one closed component
 };

@@ -50,8 +50,8 @@ struct CaptureLight {
 };
 
 struct Photo {
-  std::filesystem::path file;     ///< absolute, or relative to the working directory
-  std::optional<LightId> light;   ///< none: the photograph gives its silhouette alone
+  std::filesystem::path file;    ///< absolute, or relative to the working directory
+  std::optional<LightId> light;  ///< none: the photograph gives its silhouette alone
 };
 
 struct CaptureView {
@@ -66,7 +66,7 @@ struct Capture {
   std::string units = "m";
   std::string color_space = "lin_rec709";
   Transfer integer_transfer = Transfer::srgb;  ///< how 8/16-bit photographs encode light; EXR is always linear
-  std::vector<CaptureLight> lights;  ///< one of kind `captured` where the capture names none
+  std::vector<CaptureLight> lights;            ///< one of kind `captured` where the capture names none
   std::vector<CaptureView> views;
   std::optional<Box<AcquisitionSpace>> bounds;  ///< a box that holds the object, where the capture tells
 

@@ -24,7 +24,7 @@ struct StoreGeometry {
   int crop_x = 0, crop_y = 0;             ///< first stored pixel; the crop is a whole number of tiles
   int tiles_x = 0, tiles_y = 0;
   int light_count = 0;
-  bool black_background = true;           ///< as StoredView has it: pixels are premultiplied by coverage
+  bool black_background = true;  ///< as StoredView has it: pixels are premultiplied by coverage
 
   int lightPad() const { return (light_count + kLightGroup - 1) / kLightGroup * kLightGroup; }
   int tileCount() const { return tiles_x * tiles_y; }

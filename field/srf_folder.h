@@ -1,5 +1,5 @@
-// X.srf: a folder of immutable store files (views/, shape/, models/) and one manifest.json. A file is written beside and
-// renamed; replacing the manifest by rename is the only switch, so an interrupted run leaves the old state whole.
+// X.srf: a folder of immutable store files (views/, shape/, models/) and one manifest.json. A file is written beside
+// and renamed; replacing the manifest by rename is the only switch, so an interrupted run leaves the old state whole.
 #pragma once
 
 #include <cstdint>
@@ -21,14 +21,14 @@ struct StoredView {
   std::string file;              ///< relative to the folder; empty: the view gave its silhouette alone
   std::uint64_t hash = 0;        ///< ReflectanceStore::contentHash
   bool black_background = true;  ///< pixels are premultiplied by coverage; else only taps of coverage >= 0.98 are used
-  double silhouette_iou = 0;     ///< agreement of the hull's silhouette with this view's, 0..1; 0 where no hull was made
+  double silhouette_iou = 0;  ///< agreement of the hull's silhouette with this view's, 0..1; 0 where no hull was made
 };
 
 struct StoredFile {
-  std::string name;         ///< e.g. "hull", or a model's name
-  std::string kind;         ///< "shape", "mesh", "surfels"
-  std::string file;         ///< relative to the folder
-  std::uint64_t hash = 0;   ///< contentHash of the file's bytes
+  std::string name;        ///< e.g. "hull", or a model's name
+  std::string kind;        ///< "shape", "mesh", "surfels"
+  std::string file;        ///< relative to the folder
+  std::uint64_t hash = 0;  ///< contentHash of the file's bytes
 };
 
 struct SrfManifest {
@@ -36,11 +36,11 @@ struct SrfManifest {
   std::string color_space = "lin_rec709";
   std::vector<CaptureLight> lights;
   std::vector<StoredView> views;
-  std::vector<StoredFile> shapes;      ///< "hull" where acquire carved one
+  std::vector<StoredFile> shapes;  ///< "hull" where acquire carved one
   std::vector<StoredFile> models;
-  std::string active_model;            ///< the one `srf render` uses; empty before `srf model`
-  std::string source;                  ///< the capture's folder name, for people
-  std::string command;                 ///< what made the field
+  std::string active_model;  ///< the one `srf render` uses; empty before `srf model`
+  std::string source;        ///< the capture's folder name, for people
+  std::string command;       ///< what made the field
 
   bool unknownIllumination() const { return lights.size() == 1 && lights[0].kind == LightKind::captured; }
   const StoredFile* shape(const std::string& name) const;

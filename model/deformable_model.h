@@ -1,5 +1,5 @@
-// The deformable model of an SRF (M7, M9): triangles or elliptical surfels whose points carry {p0, r0}, and which captured
-// views see each point at rest. Made once by `srf model`, stored in X.srf/models.
+// The deformable model of an SRF (M7, M9): triangles or elliptical surfels whose points carry {p0, r0}, and which
+// captured views see each point at rest. Made once by `srf model`, stored in X.srf/models.
 #pragma once
 
 #include <array>
@@ -25,7 +25,9 @@ class VisibilityBits {
   VisibilityBits(std::size_t points, std::size_t views)
       : views_(views), words_((views + 63) / 64), bits_(points * words_, 0) {}
   bool get(std::size_t point, std::size_t view) const { return bits_[point * words_ + view / 64] >> (view % 64) & 1; }
-  void set(std::size_t point, std::size_t view) { bits_[point * words_ + view / 64] |= std::uint64_t{1} << (view % 64); }
+  void set(std::size_t point, std::size_t view) {
+    bits_[point * words_ + view / 64] |= std::uint64_t{1} << (view % 64);
+  }
   std::size_t views() const { return views_; }
   std::size_t wordsPerPoint() const { return words_; }
   const std::uint64_t* row(std::size_t point) const { return bits_.data() + point * words_; }
@@ -39,23 +41,21 @@ class VisibilityBits {
 
 struct DeformableModel {
   ModelKind kind = ModelKind::mesh;
-  std::string shape;                                ///< "hull", "sphere" or the file it came from
-  std::vector<Point<AcquisitionSpace>> p0;          ///< of each point: vertices, or surfel centres
-  std::vector<Vec3> r0;                             ///< of each point (Eq. 5); n0 = R0 z points outwards
-  std::vector<Triangle> triangles;                  ///< kind mesh: of points
-  std::vector<float> radius;                        ///< kind surfels: rest radius in units; the rest ellipse is a circle
+  std::string shape;                        ///< "hull", "sphere" or the file it came from
+  std::vector<Point<AcquisitionSpace>> p0;  ///< of each point: vertices, or surfel centres
+  std::vector<Vec3> r0;                     ///< of each point (Eq. 5); n0 = R0 z points outwards
+  std::vector<Triangle> triangles;          ///< kind mesh: of points
+  std::vector<float> radius;                ///< kind surfels: rest radius in units; the rest ellipse is a circle
   /// The mesh that surfels were sampled from, and where each sits on it: what lets a mesh sequence move them.
   AcquisitionMesh rest_mesh;
-  std::vector<std::uint32_t> anchor_triangle;       ///< kind surfels
-  std::vector<std::array<float, 2>> anchor_weights; ///< b1, b2 on that triangle
-  VisibilityBits visible;                           ///< of each point from each view of the field
-  double positional_error = 0;                      ///< how far the surface may be off, units (half a voxel for a hull)
+  std::vector<std::uint32_t> anchor_triangle;        ///< kind surfels
+  std::vector<std::array<float, 2>> anchor_weights;  ///< b1, b2 on that triangle
+  VisibilityBits visible;                            ///< of each point from each view of the field
+  double positional_error = 0;  ///< how far the surface may be off, units (half a voxel for a hull)
 
   std::size_t size() const { return p0.size(); }
   /// The mesh that a mesh sequence moves: the triangles themselves, or what the surfels were sampled from.
-  AcquisitionMesh restMesh() const {
-    return kind == ModelKind::mesh ? AcquisitionMesh{p0, triangles, {}} : rest_mesh;
-  }
+  AcquisitionMesh restMesh() const { return kind == ModelKind::mesh ? AcquisitionMesh{p0, triangles, {}} : rest_mesh; }
   Box<AcquisitionSpace> bounds() const {
     Box<AcquisitionSpace> box;
     for (const auto& p : p0) box.extend(p);

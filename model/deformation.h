@@ -1,5 +1,5 @@
-// Psi: maps of space from acquisition to object space (doc: formats, Deformations), composed in the order of the scene's
-// list, and what they do to tangents (Eq. 6, M8). All in double.
+// Psi: maps of space from acquisition to object space (doc: formats, Deformations), composed in the order of the
+// scene's list, and what they do to tangents (Eq. 6, M8). All in double.
 #pragma once
 
 #include <filesystem>
@@ -39,8 +39,8 @@ class Deformation {
   Point<ObjectSpace> map(const Point<AcquisitionSpace>& p0) const;
   /// The analytic Jacobian, by the chain rule.
   Linear<ObjectSpace, AcquisitionSpace> jacobian(const Point<AcquisitionSpace>& p0) const;
-  /// The same by central differences (Eq. 6), with the step 2^-17 of the length scale of object and map: the check of the
-  /// analytic one, and what a map without one would use.
+  /// The same by central differences (Eq. 6), with the step 2^-17 of the length scale of object and map: the check of
+  /// the analytic one, and what a map without one would use.
   Linear<ObjectSpace, AcquisitionSpace> differences(const Point<AcquisitionSpace>& p0, double object_diameter) const;
 
  private:

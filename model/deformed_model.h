@@ -1,4 +1,5 @@
-// A model at one frame: p* = Psi(p0) and the carried tangents of every point, and the ray scene over them (M8, M10, M16).
+// A model at one frame: p* = Psi(p0) and the carried tangents of every point, and the ray scene over them (M8, M10,
+// M16).
 #pragma once
 
 #include <optional>
@@ -16,21 +17,22 @@ namespace srf {
 struct SurfaceHit {
   static constexpr int kMostPoints = 16;
   int count = 0;
-  std::uint32_t point[kMostPoints];   ///< model points, by falling weight
+  std::uint32_t point[kMostPoints];  ///< model points, by falling weight
   float weight[kMostPoints];
   Point<ObjectSpace> p_star;
   Point<AcquisitionSpace> p0;
-  Orthogonal<AcquisitionSpace, TangentSpace> acquisition_from_tangent;  ///< R0 of the blended, orthonormalised rest tangents
-  Tangents<ObjectSpace> tangents;     ///< blended u, v of the same phase as R0, and the sign
-  double distance = 0;                ///< along the ray
+  Orthogonal<AcquisitionSpace, TangentSpace>
+      acquisition_from_tangent;    ///< R0 of the blended, orthonormalised rest tangents
+  Tangents<ObjectSpace> tangents;  ///< blended u, v of the same phase as R0, and the sign
+  double distance = 0;             ///< along the ray
 };
 
 struct DeformedStatistics {
-  std::size_t not_finite = 0;   ///< points that Psi sent nowhere: dropped
-  std::size_t mirrored = 0;     ///< points of negative handedness
-  std::size_t collapsed = 0;    ///< points whose tangents gave no frame
-  /// Points on open parts of a mesh sequence: nothing tells whether they are mirrored, they are taken not to be. Worth a
-  /// warning.
+  std::size_t not_finite = 0;  ///< points that Psi sent nowhere: dropped
+  std::size_t mirrored = 0;    ///< points of negative handedness
+  std::size_t collapsed = 0;   ///< points whose tangents gave no frame
+  /// Points on open parts of a mesh sequence: nothing tells whether they are mirrored, they are taken not to be. Worth
+  /// a warning.
   std::size_t unsure_handedness = 0;
 };
 
@@ -61,11 +63,11 @@ class DeformedModel {
 
   const DeformableModel& model_;
   std::vector<Orthogonal<AcquisitionSpace, TangentSpace>> rest_frame_;  ///< R0 of each point
-  std::vector<Point<ObjectSpace>> p_star_;   ///< NaN where Psi sends the point nowhere
+  std::vector<Point<ObjectSpace>> p_star_;                              ///< NaN where Psi sends the point nowhere
   std::vector<Tangents<ObjectSpace>> tangents_;
   std::vector<Vector<ObjectSpace>> splat_u_, splat_v_;  ///< kind surfels: tangents times rest radius
-  double longest_splat_ = 0;                 ///< longest half axis of all, units
-  std::optional<MeshParts> parts_;           ///< of the rest mesh, once a sequence has moved it
+  double longest_splat_ = 0;                            ///< longest half axis of all, units
+  std::optional<MeshParts> parts_;                      ///< of the rest mesh, once a sequence has moved it
   std::optional<RayScene<ObjectSpace>> scene_;
   DeformedStatistics statistics_;
 };

@@ -13,10 +13,11 @@ enum class FrameMode {
 
 /// R0 from the Rodrigues vector r0 = k tan(angle / 2) (Eq. 5). Finite for every finite r0, however long.
 Orthogonal<AcquisitionSpace, TangentSpace> rotationFromRodrigues(const Vec3& r0);
-/// r0 of R0, guarded at half turns (a normal of exactly -z): |q0| is kept at 2^-20 or more, which turns R0 by at most 2e-6
-/// rad; always finite.
+/// r0 of R0, guarded at half turns (a normal of exactly -z): |q0| is kept at 2^-20 or more, which turns R0 by at most
+/// 2e-6 rad; always finite.
 Vec3 rodriguesFromRotation(const Orthogonal<AcquisitionSpace, TangentSpace>& acquisition_from_tangent);
-/// R0 = (u0 v0 n0) with n0 = normal and u0 = `tangent` made perpendicular to it (anyPerpendicular where it is parallel).
+/// R0 = (u0 v0 n0) with n0 = normal and u0 = `tangent` made perpendicular to it (anyPerpendicular where it is
+/// parallel).
 Orthogonal<AcquisitionSpace, TangentSpace> restFrame(const Direction<AcquisitionSpace>& normal,
                                                      const Direction<AcquisitionSpace>& tangent);
 Orthogonal<AcquisitionSpace, TangentSpace> restFrame(const Direction<AcquisitionSpace>& normal);
@@ -28,15 +29,16 @@ struct Tangents {
   int handedness = 1;  ///< sign of det D(Psi): -1 where the deformation mirrors; (u, v) alone cannot tell
 };
 
-/// (u-bar, v-bar, sigma n-bar) as rows, Eq. 7 to 9: x_tangent = frame * x_object. Improper where handedness is -1 (M11).
+/// (u-bar, v-bar, sigma n-bar) as rows, Eq. 7 to 9: x_tangent = frame * x_object. Improper where handedness is -1
+/// (M11).
 template <class Space>
 struct DeformedFrame {
   Orthogonal<TangentSpace, Space> tangent_from_space;
   /// The tangents gave no frame (a zero, infinite or parallel pair): a fallback was made from what is left of them.
   bool collapsed = false;
 };
-/// The orthonormal frame of deformed tangents, in double. Where they collapse, the frame about the longer tangent (u-bar or
-/// v-bar along it, the rest from anyPerpendicular) is returned and `collapsed` set; with both zero, the axes.
+/// The orthonormal frame of deformed tangents, in double. Where they collapse, the frame about the longer tangent
+/// (u-bar or v-bar along it, the rest from anyPerpendicular) is returned and `collapsed` set; with both zero, the axes.
 template <class Space>
 DeformedFrame<Space> deformedFrame(const Tangents<Space>& tangents, FrameMode mode);
 

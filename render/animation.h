@@ -11,13 +11,13 @@
 namespace srf {
 
 struct AnimationOptions {
-  std::filesystem::path srf;           ///< the field; overrides the scene's
-  std::string output;                  ///< pattern of the frames; overrides the scene's
-  std::vector<int> frames;             ///< overrides the scene's where not empty
-  std::vector<std::string> layers;     ///< groups of knownLayers()
-  bool resume = false;                 ///< keep frames whose header carries the same settings and input hashes
+  std::filesystem::path srf;        ///< the field; overrides the scene's
+  std::string output;               ///< pattern of the frames; overrides the scene's
+  std::vector<int> frames;          ///< overrides the scene's where not empty
+  std::vector<std::string> layers;  ///< groups of knownLayers()
+  bool resume = false;              ///< keep frames whose header carries the same settings and input hashes
   std::size_t memory_bytes = std::size_t{1} << 30;
-  std::string command;                 ///< for the frames' headers
+  std::string command;  ///< for the frames' headers
 };
 
 struct RenderedFrame {
@@ -27,8 +27,8 @@ struct RenderedFrame {
   bool kept = false;  ///< found finished by --resume
 };
 
-/// Renders the scene's frames; each appears when it is whole. Throws bad_input before anything is rendered where scene and
-/// field do not fit (e.g. other lights than `captured` on a field of unknown illumination).
+/// Renders the scene's frames; each appears when it is whole. Throws bad_input before anything is rendered where scene
+/// and field do not fit (e.g. other lights than `captured` on a field of unknown illumination).
 std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOptions& options, Reporter& reporter);
 
 }  // namespace srf

@@ -22,14 +22,14 @@ namespace srf {
 std::vector<std::string> knownLayers();
 
 struct Frame {
-  ImageF rgba;                            ///< premultiplied, linear
-  std::map<std::string, ImageF> layers;   ///< channel name ("P.X", "view.0") to a one-channel image
+  ImageF rgba;                           ///< premultiplied, linear
+  std::map<std::string, ImageF> layers;  ///< channel name ("P.X", "view.0") to a one-channel image
 };
 
 struct FrameSettings {
   Accuracy accuracy;
-  int samples = 1;                     ///< per pixel, a regular or stratified pattern (deterministic)
-  std::set<std::string> layers;        ///< groups asked for; others cost nothing
+  int samples = 1;                                  ///< per pixel, a regular or stratified pattern (deterministic)
+  std::set<std::string> layers;                     ///< groups asked for; others cost nothing
   std::size_t memory_bytes = std::size_t{1} << 30;  ///< for blocks, operations and weights together
 };
 

@@ -6,10 +6,10 @@
 namespace srf {
 
 struct LookUp {
-  Point<AcquisitionSpace> p;                                         ///< = p0 (Eq. 3)
+  Point<AcquisitionSpace> p;                                          ///< = p0 (Eq. 3)
   Orthogonal<AcquisitionSpace, ObjectSpace> acquisition_from_object;  ///< L (Eq. 10); det -1 where Psi mirrors
-  Direction<AcquisitionSpace> normal;                                ///< n0
-  bool collapsed = false;                                            ///< the deformed tangents gave no frame
+  Direction<AcquisitionSpace> normal;                                 ///< n0
+  bool collapsed = false;                                             ///< the deformed tangents gave no frame
 };
 
 /// L = R0 (u-bar v-bar sigma n-bar)^T.
