@@ -316,8 +316,8 @@ def setup_text(case):
     rates = ", ".join(f"{s} {e['deformation'][0]['degrees_per_unit']['keys'][1][1]:.2f}" for s, e in extents.items())
     return [f"{VIEWS} views and {LIGHTS} directional lights all around, {CAPTURE_SIZE} x {CAPTURE_SIZE} pixels; "
             f"pictures of {SCENE_SIZE} x {SCENE_SIZE} from as far as the photographs, so 1.5 times as fine, with 4 "
-            f"samples a pixel, the exact ones with 16. The held-out view is {near(EYE, views.values()):.1f} degrees from the nearest captured one, the "
-            f"lights {' and '.join(f'{near(d, lights):.1f}' for d in DIRECTIONS)} degrees. Twist about x, bend along x "
+            f"samples a pixel, the exact ones with 16. The held-out view is "
+            f"{near(EYE, views.values()):.1f} degrees from the nearest captured one, the lights {' and '.join(f'{near(d, lights):.1f}' for d in DIRECTIONS)} degrees. Twist about x, bend along x "
             f"towards z over the object's whole extent, both by {BEND} degrees from end to end (`degrees_per_unit`: "
             f"{rates}). Every figure is the mean of the two lights."]
 
