@@ -317,7 +317,8 @@ def setup_text(case):
     return [f"{VIEWS} views and {LIGHTS} directional lights all around, {CAPTURE_SIZE} x {CAPTURE_SIZE} pixels; "
             f"pictures of {SCENE_SIZE} x {SCENE_SIZE} from as far as the photographs, so 1.5 times as fine, with 4 "
             f"samples a pixel, the exact ones with 16. The held-out view is "
-            f"{near(EYE, views.values()):.1f} degrees from the nearest captured one, the lights {' and '.join(f'{near(d, lights):.1f}' for d in DIRECTIONS)} degrees. Twist about x, bend along x "
+            f"{near(EYE, views.values()):.1f} degrees from the nearest captured one, the lights "
+            f"{' and '.join(f'{near(d, lights):.1f}' for d in DIRECTIONS)} degrees. Twist about x, bend along x "
             f"towards z over the object's whole extent, both by {BEND} degrees from end to end (`degrees_per_unit`: "
             f"{rates}). Every figure is the mean of the two lights."]
 
@@ -373,8 +374,8 @@ def main():
     contact_sheets(cases, options.doc / "images")
     others = [c for c in cases if c.material == "plastic"] + [cylinder]
     write_document(options.doc / "accuracy.md",
-                   {"setup": setup_text(cases[0]), "table": main_table(cases), "losses": loss_table(cases, options.explain),
-                    "models": model_table(others)})
+                   {"setup": setup_text(cases[0]), "table": main_table(cases),
+                    "losses": loss_table(cases, options.explain), "models": model_table(others)})
 
 
 if __name__ == "__main__":
