@@ -144,17 +144,44 @@ Box3 occupied(const HullViews& views, int tolerance, const Box3& box, int steps)
   return found;
 }
 
+AcquisitionMesh carve(const HullViews& views, int tolerance, const Box3& tight, double cell, Reporter& reporter) {
+  return makeField(views, tolerance, tight).surface(latticeAround(tight, cell), reporter);
+}
+
+double longestSide(const Box3& box) {
+  return maxComponent(box.max - box.min);
+}
+
+// Blocks that straddle the edge of a picture cannot be told to be outside, so a box of blocks may stay far too large: a
+// rough surface in it then shows where the object is.
+Box3 shrunkToSurface(const HullViews& views, int tolerance, Box3 box, int steps) {
+  constexpr int kMostRounds = 8;
+  for (int round = 0; round < kMostRounds && !box.empty(); ++round) {
+    const double cell = longestSide(box) / kCoarseCells;
+    Box3 surface = carve(views, tolerance, box, cell, Reporter::silent()).bounds();
+    if (surface.empty()) return box;
+    for (int i = 0; i < 3; ++i) {
+      surface.min[i] = std::max(surface.min[i] - 2 * cell, box.min[i]);
+      surface.max[i] = std::min(surface.max[i] + 2 * cell, box.max[i]);
+    }
+    if (longestSide(surface) > 0.75 * longestSide(box)) return box;
+    box = occupied(views, tolerance, surface, steps);
+  }
+  return box;
+}
+
 // A tight box about what the views leave. Where no bounds are given the guess grows until the hull stays off its faces.
 Box3 tightBounds(const HullViews& views, int tolerance, const std::optional<Box3>& given) {
   constexpr int kRough = 32, kFine = 64;
-  if (given) return occupied(views, tolerance, *given, kFine);
+  if (given) return shrunkToSurface(views, tolerance, occupied(views, tolerance, *given, kFine), kFine);
   Box3 box = guessBounds(views);
   for (int round = 0;; ++round) {
     const Box3 found = occupied(views, tolerance, box, kRough);
     const double margin = 0.02 * maxComponent(box.max - box.min);
     const bool touches = minComponent(found.min - box.min) < margin || minComponent(box.max - found.max) < margin;
     if (found.empty()) return found;
-    if (!touches || round == 4) return occupied(views, tolerance, found, kFine);
+    if (!touches || round == 4)
+      return shrunkToSurface(views, tolerance, occupied(views, tolerance, found, kFine), kFine);
     const Vec3 more = 0.3 * (box.max - box.min);
     box.min -= more, box.max += more;
   }
@@ -200,10 +227,6 @@ std::vector<const SilhouetteView*> sources(const HullViews& views) {
   std::vector<const SilhouetteView*> out;
   for (const HullView* v : views) out.push_back(v->view);
   return out;
-}
-
-AcquisitionMesh carve(const HullViews& views, int tolerance, const Box3& tight, double cell, Reporter& reporter) {
-  return makeField(views, tolerance, tight).surface(latticeAround(tight, cell), reporter);
 }
 
 // A trial hull that a few wrong views could not carve, and how each view agrees with it.
