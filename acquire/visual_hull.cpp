@@ -155,9 +155,9 @@ double longestSide(const Box3& box) {
 // Blocks that straddle the edge of a picture cannot be told to be outside, so a box of blocks may stay far too large: a
 // rough surface in it then shows where the object is.
 Box3 shrunkToSurface(const HullViews& views, int tolerance, Box3 box, int steps) {
-  constexpr int kMostRounds = 8, kRoughCells = 48;
+  constexpr int kMostRounds = 8;
   for (int round = 0; round < kMostRounds && !box.empty(); ++round) {
-    const double cell = longestSide(box) / kRoughCells;
+    const double cell = longestSide(box) / kCoarseCells;
     Box3 surface = carve(views, tolerance, box, cell, Reporter::silent()).bounds();
     if (surface.empty()) return box;
     for (int i = 0; i < 3; ++i) {
@@ -177,7 +177,7 @@ Box3 tightBounds(const HullViews& views, int tolerance, const std::optional<Box3
   Box3 box = guessBounds(views);
   for (int round = 0;; ++round) {
     const Box3 found = occupied(views, tolerance, box, kRough);
-    const double margin = 0.02 * longestSide(box);
+    const double margin = 0.02 * maxComponent(box.max - box.min);
     const bool touches = minComponent(found.min - box.min) < margin || minComponent(box.max - found.max) < margin;
     if (found.empty()) return found;
     if (!touches || round == 4)
@@ -240,7 +240,7 @@ Trial tryTolerantHull(const HullViews& views, int tolerance, const std::optional
   for (int m = std::min(std::max(2, tolerance), most);; m = std::min(2 * m, most)) {
     const Box3 tight = tightBounds(views, m, bounds);
     if (!tight.empty()) {
-      const double cell = longestSide(tight) / kCoarseCells;
+      const double cell = maxComponent(tight.max - tight.min) / kCoarseCells;
       trial.mesh = carve(views, m, tight, cell, Reporter::silent());
       trial.agreement = compare(trial.mesh, sources(views), kCoarseCells);
       std::vector<double> covered;
@@ -349,7 +349,7 @@ VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullO
 
   const Box3 tight = tightBounds(used, options.tolerance, options.bounds);
   if (tight.empty()) throw nothingLeft(used, options.bounds);
-  const double longest = longestSide(tight);
+  const double longest = maxComponent(tight.max - tight.min);
   int cells = options.resolution;
   if (cells == 0) {
     std::vector<double> footprint;

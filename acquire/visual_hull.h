@@ -19,10 +19,8 @@ struct SilhouetteView {
 };
 
 struct HullOptions {
-  /// Finest cells along the longest side of the box that is carved (the object's, or up to a third larger); 0: one
-  /// pixel footprint a cell, 64 to 256.
-  int resolution = 0;
-  int tolerance = 0;  ///< views that may disagree at a point without carving it away (keep where >= V - m agree)
+  int resolution = 0;  ///< finest cells along the longest side of the object; 0: one pixel footprint a cell, 64 to 256
+  int tolerance = 0;   ///< views that may disagree at a point without carving it away (keep where >= V - m agree)
   bool exclude_outliers = true;  ///< leave out views whose silhouette contradicts the others, with a warning each
   std::optional<Box<AcquisitionSpace>> bounds;  ///< box that holds the object; found from the silhouettes where absent
 };

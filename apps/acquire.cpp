@@ -52,7 +52,7 @@ int main(int argc, char** argv) {
       ->type_name("CAPTURE");
   app.add_option("-o,--output", out, "the SRF to write")->required()->type_name("X.srf");
   app.add_option("--hull-resolution", options.hull.resolution,
-                 "finest cells along the longest side of the carved box; 0: one pixel a cell")
+                 "finest cells along the longest side of the object; 0: one pixel a cell")
       ->check(CLI::Range(0, 4096))
       ->capture_default_str();
   app.add_option("--tolerance", options.hull.tolerance, "views that may disagree at a point without carving it away")
