@@ -17,7 +17,8 @@ int main(int argc, char** argv) {
   app.add_option("--frames", frames, "frames instead of the scene's, e.g. 0-10, 0-60x2 or 1,5,9");
   app.add_option("--set", overrides, "/json/pointer=value: changes the scene; may be repeated")
       ->allow_extra_args(false);
-  app.add_option("--aovs", options.layers, "layers to add: P, P0, N, L, handedness, V, Z, view, confidence")
+  app.add_option("--aovs", options.layers,
+                 "layers to add: P, P0, N, L, handedness, stretch, shear, fallback, overlap, V, Z, view, confidence")
       ->delimiter(',');
   app.add_flag("--resume", options.resume, "keep frames that the same input and settings have finished");
   return program.run(argc, argv, [&](Reporter& reporter) {

@@ -92,6 +92,19 @@ Orthogonal<AcquisitionSpace, TangentSpace> restFrame(const Direction<Acquisition
 }
 
 template <class Space>
+TangentChange tangentChange(const Tangents<Space>& tangents) {
+  // Singular values of the matrix (u v); the lesser one from the area, which keeps its digits.
+  const Vec3 &u = tangents.u.raw(), &v = tangents.v.raw();
+  const double uu = dot(u, u), vv = dot(v, v), uv = dot(u, v);
+  TangentChange change;
+  change.longest = std::sqrt(0.5 * (uu + vv) + std::hypot(0.5 * (uu - vv), uv));
+  change.shortest = change.longest > 0 ? length(cross(u, v)) / change.longest : 0;
+  change.shear = std::atan2(uv, length(cross(u, v)));
+  return change;
+}
+template TangentChange tangentChange(const Tangents<ObjectSpace>&);
+
+template <class Space>
 DeformedFrame<Space> deformedFrame(const Tangents<Space>& tangents, FrameMode mode) {
   const double sigma = tangents.handedness < 0 ? -1 : 1;
   // sigma turns the normal last: turning it first would swap u-bar and v-bar (M11).

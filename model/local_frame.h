@@ -29,6 +29,14 @@ struct Tangents {
   int handedness = 1;  ///< sign of det D(Psi): -1 where the deformation mirrors; (u, v) alone cannot tell
 };
 
+/// How the deformation changed the unit square of the rest tangents.
+struct TangentChange {
+  double longest = 1, shortest = 1;  ///< lengths of the longest and shortest carried unit tangent, of any phase
+  double shear = 0;  ///< radians by which u and v come nearer than a right angle: what Eq. 8 and 9 split evenly
+};
+template <class Space>
+TangentChange tangentChange(const Tangents<Space>& tangents);
+
 /// (u-bar, v-bar, sigma n-bar) as rows, Eq. 7 to 9: x_tangent = frame * x_object. Improper where handedness is -1
 /// (M11).
 template <class Space>
@@ -42,6 +50,7 @@ struct DeformedFrame {
 template <class Space>
 DeformedFrame<Space> deformedFrame(const Tangents<Space>& tangents, FrameMode mode);
 
+extern template TangentChange tangentChange(const Tangents<ObjectSpace>&);
 extern template DeformedFrame<ObjectSpace> deformedFrame(const Tangents<ObjectSpace>&, FrameMode);
 extern template DeformedFrame<AcquisitionSpace> deformedFrame(const Tangents<AcquisitionSpace>&, FrameMode);
 

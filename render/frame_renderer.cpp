@@ -50,6 +50,10 @@ const std::vector<LayerGroup>& layerGroups() {
       {"N", {"N.X", "N.Y", "N.Z"}},
       {"L", {"L.X", "L.Y", "L.Z", "L.W"}},
       {"handedness", {"handedness"}},
+      {"stretch", {"stretch.max", "stretch.min"}},
+      {"shear", {"shear"}},
+      {"fallback", {"fallback"}},
+      {"overlap", {"overlap"}},
       {"V", {"V.X", "V.Y", "V.Z"}},
       {"Z", {"Z"}},
       {"view", {}},
@@ -64,6 +68,7 @@ struct LayerValues {
   const LookUp& look_up;
   const Direction<AcquisitionSpace>& view;
   const std::vector<ChosenView>& chosen;
+  int surfaces;  ///< blended at the hit: overlapping splats, or one triangle
 };
 
 /// The layers asked for, one image a channel.
@@ -96,6 +101,12 @@ class Layers {
       put(x, y, "L.W", q.w);
     }
     put(x, y, "handedness", sign);
+    const TangentChange change = tangentChange(at.hit.tangents);
+    put(x, y, "stretch.max", change.longest);
+    put(x, y, "stretch.min", change.shortest);
+    put(x, y, "shear", degrees(change.shear));
+    put(x, y, "fallback", at.look_up.collapsed);
+    put(x, y, "overlap", at.surfaces);
     put(x, y, "Z", at.hit.distance);
     for (int i = 0; i < std::min<int>(views_, static_cast<int>(at.chosen.size())); ++i) {
       put(x, y, "view." + std::to_string(i), at.chosen[i].view);
@@ -325,7 +336,7 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
     }
     if (first_of_pixel && layers.wanted())
       layers.set(static_cast<int>(pixels[met[m]] % width), static_cast<int>(pixels[met[m]] / width),
-                 {hit, look_up, view, chosen});
+                 {hit, look_up, view, chosen, deformed.model().kind == ModelKind::surfels ? hit.count : 1});
   }
   out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
   lap(out.seconds_views);

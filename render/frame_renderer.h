@@ -18,7 +18,8 @@
 
 namespace srf {
 
-/// The layers of --aovs by group: "P", "P0", "N", "L", "handedness", "V", "Z", "view", "confidence".
+/// The layers of --aovs by group: "P", "P0", "N", "L", "handedness", "stretch", "shear", "fallback", "overlap", "V",
+/// "Z", "view", "confidence" (doc: conventions, Layers).
 std::vector<std::string> knownLayers();
 
 struct Frame {

@@ -136,6 +136,51 @@ TEST_F(FrameRendererTest, LayersShowTheLookUp) {
   EXPECT_TRUE(render({}).layers.empty());
 }
 
+/// Leaves points where they are and carries every tangent onto one line.
+class FlatteningJacobian final : public SpaceMap {
+ public:
+  Vec3 map(const Vec3& p) const override { return p; }
+  Mat3 jacobian(const Vec3&) const override { return {{Vec3{1, 1, 1}, Vec3{0, 0, 0}, Vec3{0, 0, 0}}}; }
+  double lengthScale() const override { return 1; }
+};
+
+TEST_F(FrameRendererTest, LayersShowStretchShearMirroringAndCollapse) {
+  FrameSettings settings;
+  settings.layers = {"stretch", "shear", "handedness", "fallback", "overlap"};
+  DeformedModel deformed(field_->model);
+  FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings, Reporter::silent());
+  // Seen from -y: the normal in the middle is -y there, its tangent plane that of x and z.
+  Camera<ObjectSpace> from_front = camera();
+  from_front.pose = *lookAt(Point<ObjectSpace>(0, -5, 0), Point<ObjectSpace>(), Vector<ObjectSpace>(0, 0, 1));
+  const auto middle = [&](const Deformation& psi) {
+    deformed.deform(psi);
+    const Frame frame = renderer.render(from_front, deformed, lights());
+    std::map<std::string, float> values;
+    for (const auto& [name, image] : frame.layers) values[name] = image.at(20, 20);
+    return values;
+  };
+  const auto affine = [](const std::string& rows) {
+    const std::string list = R"([{"type": "affine", "matrix": [)" + rows + ", [0, 0, 0, 1]]}]";
+    return AnimatedDeformation::parse(parseJson(list, "test"), ".", Reporter::silent()).at(0);
+  };
+  auto at = middle(affine("[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0.5, 0]"));
+  EXPECT_NEAR(at["stretch.max"], 2, 0.01);
+  EXPECT_NEAR(at["stretch.min"], 0.5, 0.01);
+  EXPECT_EQ(at["handedness"], 1);
+  EXPECT_EQ(at["fallback"], 0);
+  EXPECT_EQ(at["overlap"], 1);
+  // A shear of 1 has the singular values sqrt(5/4) +- 1/2; it skews a pair of tangents by up to asin(2 / sqrt(5)).
+  at = middle(affine("[-1, 0, 1, 0], [0, 1, 0, 0], [0, 0, 1, 0]"));
+  EXPECT_NEAR(at["stretch.max"], std::sqrt(1.25) + 0.5, 0.02);
+  EXPECT_NEAR(at["stretch.min"], std::sqrt(1.25) - 0.5, 0.02);
+  EXPECT_EQ(at["handedness"], -1);
+  EXPECT_GT(std::fabs(at["shear"]), 1);
+  EXPECT_LT(std::fabs(at["shear"]), degrees(std::asin(2 / std::sqrt(5.0))) + 1);
+  at = middle(Deformation({std::make_shared<FlatteningJacobian>()}));
+  EXPECT_EQ(at["fallback"], 1);
+  EXPECT_EQ(at["stretch.min"], 0);
+}
+
 TEST_F(FrameRendererTest, ACapturedViewUnderACapturedLightIsReproduced) {
   const StoredView& view = field_->manifest.views[3];
   Camera<ObjectSpace> same;
