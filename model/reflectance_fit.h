@@ -1,0 +1,57 @@
+// The reflectance model fitted to the samples of every model point, once, by `srf model`; stored beside the model as
+// X.srf/models/NAME.srffit (manifest kind "fit", same name as its model). Interpolation is guided by it where it
+// exists.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "base/reporter.h"
+#include "field/srf_folder.h"
+#include "model/deformable_model.h"
+#include "model/reflectance_model.h"
+
+namespace srf {
+
+/// What is known of one model point.
+struct FittedPoint {
+  PointReflectance reflectance;
+  float gate = 0;  ///< 0: plain interpolation, 1: guided, by the leave-one-light-out error at this point
+  /// 0: the residual is relit by lights that light the point (G1); 1: by all (G2), where indirect light or translucency
+  /// fills the shadows. By the same error.
+  float indirect = 0;
+};
+
+struct ReflectanceFit {
+  std::vector<FittedPoint> points;  ///< of the model, in its order
+  /// Whether each captured light (LightId) lights each point at rest: by rays, corrected by the photographs where the
+  /// surface is a hull.
+  VisibilityBits lit;
+  /// The same by rays through the model alone; differs from `lit` where a hull hides a concavity.
+  VisibilityBits lit_by_rays;
+  /// lit, also at the points one or two capture pixels around: away from the outline of a captured shadow.
+  VisibilityBits lit_around;
+  /// Views (ViewId) that see the point and also the points one or two capture pixels around.
+  VisibilityBits seen_around;
+  // How well it holds, over all points that have samples: root mean square of the relative leave-one-light-out error.
+  double error_plain = 0, error_guided = 0;
+};
+
+struct FitOptions {
+  std::size_t memory_bytes = std::size_t{2} << 30;  ///< for the samples held at once
+  int most_views = 24;                              ///< samples of a point come from at most this many views
+};
+
+/// Fits the active geometry. None where the field cannot be relit (one unknown light) or has too few lights (fewer than
+/// 8 of known direction): said as a warning-free note through the reporter; interpolation is then plain.
+std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_folder, const SrfManifest& field,
+                                             const DeformableModel& model, const FitOptions& options,
+                                             Reporter& reporter);
+
+/// Writes models/NAME.srffit and names it in the manifest, beside the model NAME.
+void storeFit(const std::filesystem::path& srf_folder, const ReflectanceFit& fit, const std::string& name);
+/// The active model's fit; none where it has none. Throws bad_input where the file does not fit model and field.
+std::optional<ReflectanceFit> loadFit(const std::filesystem::path& srf_folder, const SrfManifest& manifest,
+                                      const DeformableModel& model);
+
+}  // namespace srf
