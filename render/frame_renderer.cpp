@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 
+#include "base/check.h"
 #include "base/numeric.h"
 #include "base/parallel.h"
 #include "render/deferred_shading.h"
@@ -155,6 +156,38 @@ std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> onlyOrientation(const D
   return only;
 }
 
+/// Rays through pixels, those of a pixel one after the other.
+struct PixelRays {
+  std::vector<Ray<ObjectSpace>> rays;
+  std::vector<std::uint32_t> pixel;  ///< of each ray
+
+  void add(const Camera<ObjectSpace>& camera, std::span<const Vec2> pattern, int x, int y) {
+    for (const Vec2& at : pattern)
+      if (const auto ray = camera.ray({x + at.x, y + at.y})) {
+        rays.push_back(*ray);
+        pixel.push_back(static_cast<std::uint32_t>(y * camera.lens.width + x));
+      }
+  }
+};
+PixelRays raysOfBlock(const Camera<ObjectSpace>& camera, std::span<const Vec2> pattern, int block) {
+  const int width = camera.lens.width, height = camera.lens.height;
+  const int blocks_x = (width + kBlock - 1) / kBlock;
+  const int x0 = block % blocks_x * kBlock, y0 = block / blocks_x * kBlock;
+  PixelRays result;
+  for (int y = y0; y < std::min(height, y0 + kBlock); ++y)
+    for (int x = x0; x < std::min(width, x0 + kBlock); ++x) result.add(camera, pattern, x, y);
+  return result;
+}
+
+/// A pixel's channel from the sum over its samples. A light beyond the range of float is clamped, so that no NaN or Inf
+/// is ever written.
+float pixelValue(double sum, std::size_t samples, std::size_t& not_finite) {
+  constexpr double kMost = std::numeric_limits<float>::max();
+  const double value = sum / static_cast<double>(samples);
+  not_finite += !(std::fabs(value) <= kMost);
+  return static_cast<float>(std::isnan(value) ? 0 : std::clamp(value, -kMost, kMost));
+}
+
 /// One block of pixels on its way.
 struct PixelBlock {
   ShadingBatch shading;
@@ -180,9 +213,12 @@ struct FrameRenderer::State {
   State(const std::filesystem::path& srf_folder, const SrfManifest& manifest, const DeformableModel& model,
         const FrameSettings& frame_settings, Reporter& frame_reporter);
 
+  FrameLighting::Options lightingOptions(const DeformedModel& deformed, const FrameLights& lights) const;
+  std::vector<std::uint8_t> allowedViews(const FrameLighting& lighting) const;
+  /// `layers` and `explained` may be null: then neither costs anything.
   void gather(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLighting& lighting,
-              std::span<const std::uint8_t> allowed, std::span<const Vec2> pattern, int block, PixelBlock& out,
-              Layers& layers) const;
+              std::span<const std::uint8_t> allowed, const PixelRays& in, PixelBlock& out, Layers* layers,
+              std::vector<ExplainedHit>* explained) const;
   void addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
                      std::vector<ShadingOperation>& out) const;
 
@@ -269,21 +305,28 @@ void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView&
   }
 }
 
+FrameLighting::Options FrameRenderer::State::lightingOptions(const DeformedModel& deformed,
+                                                             const FrameLights& lights) const {
+  FrameLighting::Options options;
+  options.sharing = settings.accuracy.light_sharing;
+  options.min_distance = std::max(settings.accuracy.min_distance, 1e-9) * diameter;
+  if (!lights.distant.empty()) options.only_orientation = onlyOrientation(deformed, settings.accuracy.frame);
+  return options;
+}
+
+std::vector<std::uint8_t> FrameRenderer::State::allowedViews(const FrameLighting& lighting) const {
+  std::vector<std::uint8_t> allowed;
+  for (std::size_t v = 0; v < stores.size(); ++v) allowed.push_back(stores[v] && lighting.serves(list_of_view[v]));
+  return allowed;
+}
+
 void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const DeformedModel& deformed,
                                   const FrameLighting& lighting, std::span<const std::uint8_t> allowed,
-                                  std::span<const Vec2> pattern, int block, PixelBlock& out, Layers& layers) const {
-  const int width = camera.lens.width, height = camera.lens.height;
-  const int blocks_x = (width + kBlock - 1) / kBlock;
-  const int x0 = block % blocks_x * kBlock, y0 = block / blocks_x * kBlock;
-  std::vector<Ray<ObjectSpace>> rays;
-  std::vector<std::uint32_t> pixels;  // of each ray
-  for (int y = y0; y < std::min(height, y0 + kBlock); ++y)
-    for (int x = x0; x < std::min(width, x0 + kBlock); ++x)
-      for (const Vec2& at : pattern)
-        if (const auto ray = camera.ray({x + at.x, y + at.y})) {
-          rays.push_back(*ray);
-          pixels.push_back(static_cast<std::uint32_t>(y * width + x));
-        }
+                                  const PixelRays& in, PixelBlock& out, Layers* layers,
+                                  std::vector<ExplainedHit>* explained) const {
+  const int width = camera.lens.width;
+  const std::vector<Ray<ObjectSpace>>& rays = in.rays;
+  const std::vector<std::uint32_t>& pixels = in.pixel;
   auto clock = Clock::now();
   const auto lap = [&](double& stage) {
     const auto now = Clock::now();
@@ -334,9 +377,10 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
       }
       addOperations(target, c, handle->second, out.shading.operations);
     }
-    if (first_of_pixel && layers.wanted())
-      layers.set(static_cast<int>(pixels[met[m]] % width), static_cast<int>(pixels[met[m]] / width),
-                 {hit, look_up, view, chosen, deformed.model().kind == ModelKind::surfels ? hit.count : 1});
+    if (first_of_pixel && layers)
+      layers->set(static_cast<int>(pixels[met[m]] % width), static_cast<int>(pixels[met[m]] / width),
+                  {hit, look_up, view, chosen, deformed.model().kind == ModelKind::surfels ? hit.count : 1});
+    if (explained) explained->push_back({rays[met[m]], hit, look_up, view, seen, chosen, {}, {}, {}});
   }
   out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
   lap(out.seconds_views);
@@ -370,15 +414,9 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     clock = Clock::now();
   };
 
-  FrameLighting::Options options;
-  options.sharing = s.settings.accuracy.light_sharing;
-  options.min_distance = std::max(s.settings.accuracy.min_distance, 1e-9) * s.diameter;
-  if (!lights.distant.empty()) options.only_orientation = onlyOrientation(deformed, s.settings.accuracy.frame);
-  const FrameLighting lighting(lights, s.lists, options);
+  const FrameLighting lighting(lights, s.lists, s.lightingOptions(deformed, lights));
   s.shared.prepare(lighting);
-  std::vector<std::uint8_t> allowed;
-  for (std::size_t v = 0; v < s.stores.size(); ++v)
-    allowed.push_back(s.stores[v] && lighting.serves(s.list_of_view[v]));
+  const std::vector<std::uint8_t> allowed = s.allowedViews(lighting);
   lap("weights");
 
   // Double sums: with many samples a float would lose digits.
@@ -402,7 +440,8 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       batch.resize(first + count);
       parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i)
-          s.gather(camera, deformed, lighting, allowed, pattern, next + static_cast<int>(i), batch[first + i], layers);
+          s.gather(camera, deformed, lighting, allowed, raysOfBlock(camera, pattern, next + static_cast<int>(i)),
+                   batch[first + i], layers.wanted() ? &layers : nullptr, nullptr);
       });
       double trace = 0, look_up = 0, views = 0, weights = 0, sort = 0;
       for (std::size_t i = first; i < batch.size(); ++i) {
@@ -465,13 +504,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   frame.rgba = ImageF(width, height, 4);
   std::size_t not_finite = 0;
   for (std::size_t i = 0; i < sums.size(); ++i)
-    for (int c = 0; c < 4; ++c) {
-      // A light beyond the range of float is clamped, so that no NaN or Inf is ever written.
-      constexpr double kMost = std::numeric_limits<float>::max();
-      const double value = sums[i][c] / static_cast<double>(pattern.size());
-      not_finite += !(std::fabs(value) <= kMost);
-      frame.rgba.data()[4 * i + c] = static_cast<float>(std::isnan(value) ? 0 : std::clamp(value, -kMost, kMost));
-    }
+    for (int c = 0; c < 4; ++c) frame.rgba.data()[4 * i + c] = pixelValue(sums[i][c], pattern.size(), not_finite);
   frame.layers = layers.take();
   lap("resolve");
 
@@ -488,6 +521,54 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   s.reporter.figure("seconds.reading", statistics.seconds_reading);
   for (const auto& [stage, seconds] : s.seconds) s.reporter.figure("seconds." + stage, seconds);
   return frame;
+}
+
+PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const DeformedModel& deformed,
+                                        const FrameLights& lights, int x, int y) {
+  State& s = *state_;
+  SRF_CHECK(x >= 0 && y >= 0 && x < camera.lens.width && y < camera.lens.height);
+  const std::vector<Vec2> pattern = samplePattern(std::max(1, s.settings.samples));
+  const FrameLighting lighting(lights, s.lists, s.lightingOptions(deformed, lights));
+  s.shared.prepare(lighting);
+  PixelRays rays;
+  rays.add(camera, pattern, x, y);
+  PixelBlock block;
+  PixelExplanation result;
+  result.samples = static_cast<int>(pattern.size());
+  s.gather(camera, deformed, lighting, s.allowedViews(lighting), rays, block, nullptr, &result.hits);
+  s.shared.want(block.shading.lights.wanted, lighting);
+  s.shared.compute(lighting);
+  s.shared.resolve(block.shading.lights);
+  s.shading->execute({&block.shading, 1});
+  const auto colors = sumResults(block.shading);
+  std::array<double, 4> sum{};
+  for (std::size_t t = 0; t < colors.size(); ++t) {
+    result.hits[t].color = colors[t];
+    for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
+    sum[3] += 1;
+  }
+  std::size_t not_finite = 0;
+  for (int c = 0; c < 4; ++c) result.rgba[c] = pixelValue(sum[c], pattern.size(), not_finite);
+
+  result.lights.resize(block.shading.lights.weights.size());
+  for (std::size_t i = 0; i < block.shading.operations.size(); ++i) {
+    const ShadingOperation& operation = block.shading.operations[i];
+    ExplainedHit& hit = result.hits[operation.target];
+    hit.operations.push_back(operation);
+    hit.results.push_back(block.shading.results[i]);
+    PixelExplanation::Lights& merged = result.lights[operation.lights];
+    if (!merged.entries.empty()) continue;
+    merged.list = s.list_of_view[operation.view];
+    const int count = s.lists[merged.list].count(), pad = lightPad(count);
+    std::vector<float> scratch(3 * static_cast<std::size_t>(pad));
+    const LightGather& gathered = block.shading.lights;
+    const float* vector = gathered.vector(gathered.weights[operation.lights], pad, scratch.data());
+    for (int j = 0; j < count; ++j) {
+      const Rgb weight{vector[j], vector[pad + j], vector[2 * pad + j]};
+      if (weight != Rgb{}) merged.entries.push_back({static_cast<std::uint32_t>(j), weight});
+    }
+  }
+  return result;
 }
 
 }  // namespace srf

@@ -15,6 +15,7 @@
 #include "field/srf_folder.h"
 #include "model/deformed_model.h"
 #include "render/light_set.h"
+#include "render/pixel_explanation.h"
 
 namespace srf {
 
@@ -42,6 +43,9 @@ class FrameRenderer {
   ~FrameRenderer();
   /// Same input, same bits, for any thread count and memory budget.
   Frame render(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLights& lights);
+  /// How pixel (x, y) of that picture comes about. x, y must lie in the picture.
+  PixelExplanation explain(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLights& lights,
+                           int x, int y);
 
  private:
   struct State;

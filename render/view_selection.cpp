@@ -119,10 +119,11 @@ ViewSelection::Result ViewSelection::select(const ViewQuery& query, std::span<co
     double seen = 0;
     for (std::size_t i = 0; i < query.points.size(); ++i)
       if (visible_.get(query.points[i], candidate.view)) seen += query.point_weights[i];
-    ChosenView tried{candidate.view, candidate.foreshortening, angle(candidate), {}};
+    ChosenView tried{candidate.view, candidate.foreshortening, angle(candidate), 0, {}};
     const double usable = std::min(seen, 1.0) * covered(query, candidate.view, tried.fetch);
     const double penalty = viewPenalty(tried.angle, candidate.resolution, usable);
     if (!(penalty < kPenaltyCap)) continue;
+    tried.penalty = penalty;
     s.tried.push_back(tried);
     s.penalised.push_back({penalty, candidate.view});
     for (std::size_t j = s.penalised.size() - 1; j > 0 && s.penalised[j] < s.penalised[j - 1]; --j)
@@ -148,7 +149,7 @@ ViewSelection::Result ViewSelection::select(const ViewQuery& query, std::span<co
     return a.chord != b.chord ? a.chord < b.chord : a.view < b.view;
   });
   for (const Candidate& c : open) {
-    ChosenView tried{c.view, 1, angle(c), {}};
+    ChosenView tried{c.view, 1, angle(c), std::numeric_limits<double>::infinity(), {}};
     if (!(covered(query, c.view, tried.fetch) > 0)) continue;
     chosen.push_back(tried);
     return Result::not_seen;

@@ -43,7 +43,8 @@ struct ViewQuery {
 struct ChosenView {
   std::uint32_t view = 0;
   double weight = 0;
-  double angle = 0;  ///< radians between v and the view's direction at p
+  double angle = 0;    ///< radians between v and the view's direction at p
+  double penalty = 0;  ///< viewPenalty; infinite for one that stands in where no view sees p
   Fetch fetch;
 };
 

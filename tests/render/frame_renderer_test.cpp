@@ -181,6 +181,38 @@ TEST_F(FrameRendererTest, LayersShowStretchShearMirroringAndCollapse) {
   EXPECT_EQ(at["stretch.min"], 0);
 }
 
+TEST_F(FrameRendererTest, AnExplainedPixelIsTheRenderedOneToTheBit) {
+  for (const int samples : {1, 3})
+    for (const double sharing : {0.0, 2.0}) {
+      FrameSettings settings;
+      settings.samples = samples;
+      settings.accuracy.light_sharing = sharing;
+      DeformedModel deformed(field_->model);
+      deformed.deform(twist());
+      FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings, Reporter::silent());
+      const Frame frame = renderer.render(camera(), deformed, lights());
+      int explained = 0;
+      for (int y = 0; y < 40; y += 3)
+        for (int x = 0; x < 40; x += 3) {
+          const PixelExplanation why = renderer.explain(camera(), deformed, lights(), x, y);
+          for (int c = 0; c < 4; ++c) ASSERT_EQ(why.rgba[c], frame.rgba.at(x, y, c)) << x << " " << y;
+          for (const ExplainedHit& hit : why.hits) {
+            // The parts printed are the whole: texels times light weights, again from the store.
+            Vec3 sum;
+            double views = 0;
+            for (const Rgb& part : hit.results) sum += Vec3{part[0], part[1], part[2]};
+            for (const ChosenView& chosen : hit.chosen) views += chosen.weight;
+            EXPECT_NEAR(length(sum - Vec3{hit.color[0], hit.color[1], hit.color[2]}), 0, 1e-12);
+            EXPECT_NEAR(views, 1, 1e-12);
+            for (const ShadingOperation& operation : hit.operations)
+              EXPECT_FALSE(why.lights[operation.lights].entries.empty());
+            ++explained;
+          }
+        }
+      EXPECT_GT(explained, 50);
+    }
+}
+
 TEST_F(FrameRendererTest, ACapturedViewUnderACapturedLightIsReproduced) {
   const StoredView& view = field_->manifest.views[3];
   Camera<ObjectSpace> same;
