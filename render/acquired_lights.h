@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "field/capture.h"
-#include "render/lumigraph_weights.h"
+#include "field/lumigraph_weights.h"
 
 namespace srf {
 

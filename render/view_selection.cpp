@@ -14,43 +14,8 @@ constexpr double kBorderPixels = 4;  // over which a view fades towards the bord
 // (tried on an independent capture: no factor, the root and n0 . v_i itself give 0.78, 0.87 and 0.91 dB over the
 // reference figures in the mean, but -0.29, -0.29 and -0.44 dB at worst). A grazing view stays usable.
 constexpr double kLeastForeshortening = 0.05;
-// Least coverage of a texel (formats.md): pixels over black are premultiplied and only lose precision; others hold
-// background colour.
-constexpr int kLeastBlack = 128, kLeastOther = 250;
 
 }  // namespace
-
-Fetch bilinearFetch(const SourceView& view, const Vec2& pixel) {
-  Fetch fetch;
-  const double u = pixel.x - 0.5 - view.geometry.crop_x, v = pixel.y - 0.5 - view.geometry.crop_y;
-  // Off the rectangle, also far off (before the conversion to int).
-  if (!(u > -1 && v > -1 && u < view.geometry.cropWidth() && v < view.geometry.cropHeight())) return fetch;
-  // The rounding of a projection must not make one texel two.
-  const auto split = [](double at, int& cell) {
-    const double nearest = std::floor(at + 0.5);
-    const double snapped = std::fabs(at - nearest) < 1e-6 ? nearest : at;
-    const double floor = std::floor(snapped);
-    cell = static_cast<int>(floor);
-    return snapped - floor;
-  };
-  const double fx = split(u, fetch.x), fy = split(v, fetch.y);
-  const double bilinear[4] = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
-  const int least = view.black_background ? kLeastBlack : kLeastOther;
-  double denominator = 0;
-  bool used[4];
-  for (int t = 0; t < 4; ++t) {
-    const int x = fetch.x + t % 2, y = fetch.y + t / 2;
-    const bool inside = x >= 0 && y >= 0 && x < view.coverage->width() && y < view.coverage->height();
-    const int coverage = inside ? view.coverage->at(x, y) : 0;
-    used[t] = bilinear[t] > 0 && coverage >= least;
-    if (!used[t]) continue;
-    fetch.covered += bilinear[t];
-    denominator += view.black_background ? bilinear[t] * coverage / 255 : bilinear[t];
-  }
-  const double scale = denominator > 0 ? 1 / denominator : 0;
-  for (int t = 0; t < 4; ++t) fetch.tap[t] = used[t] ? static_cast<float>(bilinear[t] * scale) : 0.f;
-  return fetch;
-}
 
 ViewSelection::ViewSelection(std::vector<SourceView> views, const VisibilityBits& visible, int k)
     : views_(std::move(views)), visible_(visible), k_(k) {}

@@ -5,30 +5,11 @@
 #include <span>
 #include <vector>
 
-#include "base/camera.h"
-#include "base/image.h"
-#include "field/reflectance_store.h"
+#include "field/bilinear_fetch.h"
+#include "field/lumigraph_weights.h"
 #include "model/deformable_model.h"
-#include "render/lumigraph_weights.h"
 
 namespace srf {
-
-/// A captured view as rendering sees it.
-struct SourceView {
-  Camera<AcquisitionSpace> camera;
-  StoreGeometry geometry;
-  const Image8* coverage =
-      nullptr;                   ///< of the stored rectangle; none: the view holds no reflectance and is never chosen
-  bool black_background = true;  ///< pixels are premultiplied by coverage
-};
-
-/// A mask-aware bilinear fetch (doc: formats, images): the 2 x 2 texels about a pixel and what each counts.
-struct Fetch {
-  int x = 0, y = 0;    ///< of the first texel in the stored rectangle; may be -1
-  float tap[4] = {};   ///< bilinear weight / coverage, over the usable texels: (x,y), (x+1,y), (x,y+1), (x+1,y+1)
-  double covered = 0;  ///< share of the bilinear weight that falls on usable texels; 0: nothing can be fetched
-};
-Fetch bilinearFetch(const SourceView& view, const Vec2& pixel);
 
 /// A desired ray in acquisition space.
 struct ViewQuery {

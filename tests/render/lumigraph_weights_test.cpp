@@ -1,4 +1,4 @@
-#include "render/lumigraph_weights.h"
+#include "field/lumigraph_weights.h"
 
 #include <gtest/gtest.h>
 

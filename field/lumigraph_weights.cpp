@@ -1,5 +1,5 @@
 // Buehler et al., Unstructured Lumigraph Rendering (2001); the 1/P form reproduces a captured view.
-#include "render/lumigraph_weights.h"
+#include "field/lumigraph_weights.h"
 
 #include <algorithm>
 
