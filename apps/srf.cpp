@@ -21,6 +21,7 @@ constexpr Command kCommands[] = {
     {"acquire", "capture to SRF: silhouettes, visual hull, registered views"},
     {"model", "make the deformable model inside an SRF"},
     {"render", "render a scene to frames"},
+    {"explain", "how a pixel of a frame comes about, number by number"},
     {"pipeline", "photographs to animation in one go, with a report"},
     {"info", "say what a file holds"},
     {"compare", "measure the difference of two images"},

@@ -87,11 +87,16 @@ void countPoints(const DeformedStatistics& statistics, int frame, Reporter& repo
                   " points of the model nowhere (NaN or Inf); they are left out");
 }
 
+fs::path fieldOf(const Scene& scene, const AnimationOptions& options) {
+  const fs::path srf = options.srf.empty() ? scene.srf : options.srf;
+  if (srf.empty()) throw badInput(scene.file.string(), "names no field; add \"srf\" to it or give --srf X.srf");
+  return srf;
+}
+
 }  // namespace
 
 std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOptions& options, Reporter& reporter) {
-  const fs::path srf = options.srf.empty() ? scene.srf : options.srf;
-  if (srf.empty()) throw badInput(scene.file.string(), "names no field; add \"srf\" to it or give --srf X.srf");
+  const fs::path srf = fieldOf(scene, options);
   const std::string pattern = options.output.empty() ? scene.output : options.output;
   if (pattern.empty())
     throw badInput(scene.file.string(), "names no output; add \"output\" to it or give -o name.####.exr");
@@ -153,6 +158,31 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
     stage.advance();
   }
   return rendered;
+}
+
+ExplainedFrame explainPixel(const Scene& scene, const AnimationOptions& options, int frame, int x, int y,
+                            Reporter& reporter) {
+  const fs::path srf = fieldOf(scene, options);
+  const Camera<ObjectSpace> camera = scene.cameraAt(frame);
+  if (x < 0 || y < 0 || x >= camera.lens.width || y >= camera.lens.height)
+    throw Error(ErrorKind::usage,
+                "found " + std::to_string(x) + "," + std::to_string(y) + ", expected a pixel of the picture of " +
+                    std::to_string(camera.lens.width) + " x " + std::to_string(camera.lens.height),
+                "--pixel");
+  ExplainedFrame result;
+  result.field = readManifest(srf);
+  result.model = loadModel(srf, result.field);
+  result.lights = LightSet(scene, result.field, reporter).at(frame);
+  DeformedModel deformed(result.model);
+  std::optional<std::vector<Point<ObjectSpace>>> sequence;
+  if (scene.deformation.hasSequence()) sequence = scene.deformation.sequencePositions(frame, restMesh(result.model));
+  deformed.deform(scene.deformation.at(frame), sequence ? &*sequence : nullptr);
+  const FrameSettings settings{scene.accuracy, scene.samples, {}, options.memory_bytes};
+  FrameRenderer renderer(srf, result.field, result.model, settings, reporter);
+  result.pixel = renderer.explain(camera, deformed, result.lights, x, y);
+  result.positions = deformed.positions();
+  result.tangents = deformed.tangents();
+  return result;
 }
 
 }  // namespace srf

@@ -31,4 +31,17 @@ struct RenderedFrame {
 /// and field do not fit (e.g. other lights than `captured` on a field of unknown illumination).
 std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOptions& options, Reporter& reporter);
 
+/// A pixel of a frame with all that it comes from.
+struct ExplainedFrame {
+  SrfManifest field;
+  DeformableModel model;
+  std::vector<Tangents<ObjectSpace>> tangents;  ///< u, v of each model point
+  std::vector<Point<ObjectSpace>> positions;    ///< p* of each model point
+  FrameLights lights;
+  PixelExplanation pixel;
+};
+/// The pixel (x, y) of `frame` as renderAnimation would make it. Throws usage where the picture has no such pixel.
+ExplainedFrame explainPixel(const Scene& scene, const AnimationOptions& options, int frame, int x, int y,
+                            Reporter& reporter);
+
 }  // namespace srf

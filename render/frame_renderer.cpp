@@ -188,6 +188,17 @@ float pixelValue(double sum, std::size_t samples, std::size_t& not_finite) {
   return static_cast<float>(std::isnan(value) ? 0 : std::clamp(value, -kMost, kMost));
 }
 
+/// The entries of a vector of light weights (float[3][lightPad(count)]).
+std::vector<LightEntry> nonzero(const float* vector, int count) {
+  std::vector<LightEntry> entries;
+  const int pad = lightPad(count);
+  for (int j = 0; j < count; ++j) {
+    const Rgb weight{vector[j], vector[pad + j], vector[2 * pad + j]};
+    if (weight != Rgb{}) entries.push_back({static_cast<std::uint32_t>(j), weight});
+  }
+  return entries;
+}
+
 /// One block of pixels on its way.
 struct PixelBlock {
   ShadingBatch shading;
@@ -221,6 +232,8 @@ struct FrameRenderer::State {
               std::vector<ExplainedHit>* explained) const;
   void addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
                      std::vector<ShadingOperation>& out) const;
+  /// Fills in the lights of a hit that has views.
+  void explainLights(const FrameLights& lights, FrameLighting::Options options, ExplainedHit& hit) const;
 
   FrameSettings settings;
   Reporter& reporter;
@@ -550,25 +563,59 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
   std::size_t not_finite = 0;
   for (int c = 0; c < 4; ++c) result.rgba[c] = pixelValue(sum[c], pattern.size(), not_finite);
 
-  result.lights.resize(block.shading.lights.weights.size());
+  result.merged.resize(block.shading.lights.weights.size());
   for (std::size_t i = 0; i < block.shading.operations.size(); ++i) {
     const ShadingOperation& operation = block.shading.operations[i];
     ExplainedHit& hit = result.hits[operation.target];
     hit.operations.push_back(operation);
     hit.results.push_back(block.shading.results[i]);
-    PixelExplanation::Lights& merged = result.lights[operation.lights];
-    if (!merged.entries.empty()) continue;
-    merged.list = s.list_of_view[operation.view];
-    const int count = s.lists[merged.list].count(), pad = lightPad(count);
+    const StoreGeometry& geometry = s.selection->views()[operation.view].geometry;
+    const int pad = geometry.lightPad();
     std::vector<float> scratch(3 * static_cast<std::size_t>(pad));
     const LightGather& gathered = block.shading.lights;
     const float* vector = gathered.vector(gathered.weights[operation.lights], pad, scratch.data());
-    for (int j = 0; j < count; ++j) {
-      const Rgb weight{vector[j], vector[pad + j], vector[2 * pad + j]};
-      if (weight != Rgb{}) merged.entries.push_back({static_cast<std::uint32_t>(j), weight});
+    result.merged[operation.lights] = nonzero(vector, geometry.light_count);
+    const int tile_x = static_cast<int>(operation.tile) % geometry.tiles_x,
+              tile_y = static_cast<int>(operation.tile) / geometry.tiles_x;
+    const BlockCache::Handle texels = s.cache->get(ViewId{operation.view}, tile_x, tile_y);
+    for (int t = 0; t < 4; ++t) {
+      if (!(operation.tap[t] > 0)) continue;
+      ShadingOperation alone = operation;
+      for (int other = 0; other < 4; ++other) alone.tap[other] = other == t;
+      hit.texels.push_back({operation.view, geometry.crop_x + tile_x * kTile + operation.x + t % 2,
+                            geometry.crop_y + tile_y * kTile + operation.y + t / 2, operation.tap[t],
+                            reflectanceDotReference(texels.halves().data(), pad, alone, vector)});
     }
   }
+  for (ExplainedHit& hit : result.hits)
+    if (!hit.chosen.empty()) s.explainLights(lights, lighting.options(), hit);
   return result;
+}
+
+void FrameRenderer::State::explainLights(const FrameLights& lights, FrameLighting::Options options,
+                                         ExplainedHit& hit) const {
+  options.sharing = 0;
+  options.only_orientation.reset();
+  const auto most = std::max_element(hit.chosen.begin(), hit.chosen.end(),
+                                     [](const ChosenView& a, const ChosenView& b) { return a.weight < b.weight; });
+  const std::uint32_t list = list_of_view[most->view];
+  const auto& acquisition_from_object = hit.look_up.acquisition_from_object;
+  const Direction<ObjectSpace> normal = acquisition_from_object.inverse() * hit.look_up.normal;
+  const LitPoint point{hit.look_up.p, hit.hit.p_star, acquisition_from_object, normal};
+  const auto add = [&](ExplainedLight::Kind kind, const Direction<ObjectSpace>& direction, const FrameLights& one) {
+    LightGather gathered;
+    FrameLighting(one, lists, options).gather(list, point, gathered);
+    const int count = lists[list].count(), pad = lightPad(count);
+    std::vector<float> scratch(3 * static_cast<std::size_t>(pad));
+    const float* vector = gathered.vector(gathered.weights.front(), pad, scratch.data());
+    hit.lights.push_back({kind, direction, acquisition_from_object * direction, nonzero(vector, count)});
+  };
+  for (const DistantLight& light : lights.distant)
+    add(ExplainedLight::Kind::distant, light.direction, {{light}, {}, {}});
+  for (const NearLight& light : lights.near_lights)
+    add(ExplainedLight::Kind::near_light, normalize(light.position - hit.hit.p_star).value_or(normal),
+        {{}, {light}, {}});
+  for (const RestLight& light : lights.rest) add(ExplainedLight::Kind::captured, normal, {{}, {}, {light}});
 }
 
 }  // namespace srf

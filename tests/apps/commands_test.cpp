@@ -29,7 +29,7 @@ namespace fs = std::filesystem;
 using Words = std::vector<std::string>;
 
 const std::string kSrf = std::string(SRF_PROGRAMS) + "/srf";
-const Words kCommands{"synth", "check", "acquire", "model", "render", "pipeline", "info", "compare"};
+const Words kCommands{"synth", "check", "acquire", "model", "render", "explain", "pipeline", "info", "compare"};
 
 struct Outcome {
   int code = -1;  ///< 128 + signal where one ended it
@@ -469,6 +469,30 @@ TEST(Render, ResumeRendersAgainWhatAnotherSceneMade) {
 }
 
 // ---- The whole way -------------------------------------------------------------------------------------------------
+
+TEST(Explain, EndsWithThePixelThatRenderWrites) {
+  test::TemporaryFolder folder;
+  ASSERT_EQ(run({"render", sample().scene, "-o", folder / "f.####.exr", "--frames", "1"}).code, 0);
+  const ImageF frame = readImage(folder / "f.0001.exr").pixels;
+  const auto explained = [](int x, int y) {
+    const Outcome why =
+        run({"explain", sample().scene, "--frame", "1", "--pixel", std::to_string(x) + "," + std::to_string(y)});
+    EXPECT_EQ(why.code, 0) << why.err;
+    return why.out;
+  };
+  const std::string out = explained(50, 45);
+  for (const char* part : {"p*", "sigma", "u-bar", "L ", "v = L v*", "l = L l*", "views that see p", "texels", "color"})
+    EXPECT_NE(out.find(part), std::string::npos) << part << " in " << out;
+  const std::size_t last = out.rfind("= ");
+  ASSERT_NE(last, std::string::npos);
+  float rgba[4] = {};
+  ASSERT_EQ(std::sscanf(out.c_str() + last, "= %f %f %f, alpha %f", rgba, rgba + 1, rgba + 2, rgba + 3), 4) << out;
+  EXPECT_EQ(rgba[3], 1);
+  for (int c = 0; c < 4; ++c) EXPECT_EQ(floatFromHalf(halfFromFloat(rgba[c])), frame.at(50, 45, c)) << c;
+  EXPECT_NE(explained(0, 0).find("0 met the model"), std::string::npos);
+  expectMessage(run({"explain", sample().scene, "--pixel", "96,0"}), 2, {"--pixel", "96,0", "96 x 96"});
+  expectMessage(run({"explain", sample().scene, "--pixel", "10"}), 2, {"--pixel", "'10'", "x,y"});
+}
 
 TEST(Pipeline, MakesFieldFramesSheetAndReportAndThenOnlyWhatIsLeft) {
   test::TemporaryFolder folder;

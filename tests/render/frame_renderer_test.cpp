@@ -197,6 +197,7 @@ TEST_F(FrameRendererTest, AnExplainedPixelIsTheRenderedOneToTheBit) {
           const PixelExplanation why = renderer.explain(camera(), deformed, lights(), x, y);
           for (int c = 0; c < 4; ++c) ASSERT_EQ(why.rgba[c], frame.rgba.at(x, y, c)) << x << " " << y;
           for (const ExplainedHit& hit : why.hits) {
+            ++explained;
             // The parts printed are the whole: texels times light weights, again from the store.
             Vec3 sum;
             double views = 0;
@@ -204,9 +205,19 @@ TEST_F(FrameRendererTest, AnExplainedPixelIsTheRenderedOneToTheBit) {
             for (const ChosenView& chosen : hit.chosen) views += chosen.weight;
             EXPECT_NEAR(length(sum - Vec3{hit.color[0], hit.color[1], hit.color[2]}), 0, 1e-12);
             EXPECT_NEAR(views, 1, 1e-12);
-            for (const ShadingOperation& operation : hit.operations)
-              EXPECT_FALSE(why.lights[operation.lights].entries.empty());
-            ++explained;
+            Vec3 texels;
+            for (const ExplainedTexel& texel : hit.texels)
+              texels += double{texel.tap} * Vec3{texel.relit[0], texel.relit[1], texel.relit[2]};
+            EXPECT_NEAR(length(texels - sum), 0, 1e-5 * length(sum));
+            // The lights taken one by one, exactly, add up to the merged weights where nothing is shared.
+            ASSERT_EQ(hit.lights.size(), lights().distant.size() + lights().near_lights.size());
+            std::map<std::uint32_t, double> alone;
+            for (const ExplainedLight& light : hit.lights)
+              for (const LightEntry& entry : light.entries) alone[entry.light] += entry.weight[1];
+            if (sharing > 0) continue;
+            for (const LightEntry& entry : why.merged[hit.operations.front().lights])
+              EXPECT_NEAR(entry.weight[1], alone[entry.light], 1e-5);
+            EXPECT_EQ(why.merged[hit.operations.front().lights].size(), alone.size());
           }
         }
       EXPECT_GT(explained, 50);
