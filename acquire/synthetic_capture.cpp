@@ -214,8 +214,7 @@ class Photographer {
         if (blocked[k]) continue;
         const Sample& s = samples[lit[k]];
         const auto& direction = rays[k].direction;
-        sum[s.x] +=
-            dot(s.point.normal, direction) * (object_.brdf(s.point, direction, s.view) * light.irradianceAt(s.point.p));
+        sum[s.x] += dot(s.point.normal, direction) * (brdf(s.point, direction, s.view) * light.irradianceAt(s.point.p));
       }
       float* row = out.photos[l].row(y);
       for (int x = 0; x < camera.lens.width; ++x)
@@ -299,10 +298,11 @@ Image8 maskOf(const ExactView& exact, const SyntheticCaptureOptions& options, st
 }
 
 // Gain error of the photograph, and noise with the square root of the light, as photons have it. A sensor gives nothing
-// below zero.
+// below zero, and nothing above its full scale.
 void disturb(ImageF& photo, const CaptureLight& light, const SyntheticCaptureOptions& options, std::uint64_t view,
              std::uint64_t light_index) {
-  if (options.exposure == 0 && options.noise == 0) return;
+  if (options.exposure == 0 && options.noise == 0 && options.saturation == 0) return;
+  const double full = options.saturation > 0 ? options.saturation : INFINITY;
   const double gain =
       std::exp(options.exposure * KeyedRandom{options.seed, kExposureStream, view, light_index}.normal());
   const Vec3 white = light.irradianceAt(Point<AcquisitionSpace>()) * (1 / kPi);
@@ -313,7 +313,7 @@ void disturb(ImageF& photo, const CaptureLight& light, const SyntheticCaptureOpt
       for (int c = 0; c < 3; ++c) {
         const double value = gain * photo.at(x, y, c), floor = kNoiseFloor * white[c];
         const double sigma = options.noise * std::sqrt((value + floor) * white[c]);
-        photo.at(x, y, c) = static_cast<float>(std::max(0.0, value + sigma * random.normal()));
+        photo.at(x, y, c) = static_cast<float>(std::clamp(value + sigma * random.normal(), 0.0, full));
       }
     }
 }
@@ -327,7 +327,8 @@ Json description(const SyntheticCaptureOptions& o) {
   json["light_type"] = o.light_kind == LightKind::point ? "point" : "directional";
   json["views"] = o.views, json["lights"] = o.lights, json["size"] = o.size, json["supersampling"] = o.supersampling;
   json["fov"] = o.vfov, json["distance"] = o.distance;
-  json["noise"] = o.noise, json["exposure"] = o.exposure, json["mask_error"] = o.mask_error, json["seed"] = o.seed;
+  json["noise"] = o.noise, json["exposure"] = o.exposure, json["saturate"] = o.saturation,
+  json["mask_error"] = o.mask_error, json["seed"] = o.seed;
   return json;
 }
 
@@ -421,6 +422,7 @@ void SyntheticCaptureOptions::validate() const {
   require("distance", distance, 0, 1e6);
   require("noise", noise, 0, 10);
   require("exposure", exposure, 0, 10);
+  require("saturate", saturation, 0, 1e6);
   require("mask-error", mask_error, 0, 100);
   if (!faults.empty()) throw Error(ErrorKind::usage, faults);
 }

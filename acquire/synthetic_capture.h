@@ -32,6 +32,7 @@ struct SyntheticCaptureOptions {
   double distance = 0;     ///< camera to centre, units; 0: the object fills 80 % of the picture
   double noise = 0;        ///< standard deviation at a white matt surface facing the light, as a share of its radiance
   double exposure = 0;     ///< standard deviation of each photograph's gain, natural logarithm
+  double saturation = 0;   ///< photographs hold at most this radiance, as a full sensor does; 0: no bound
   double mask_error = 0;   ///< pixels: each view's mask is shifted by up to this and grown or shrunk by up to this
   std::uint64_t seed = 1;  ///< of noise, gain and mask errors
 

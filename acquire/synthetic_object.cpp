@@ -1,10 +1,9 @@
-// GGX: Walter et al. 2007, with the height-correlated Smith term (Heitz 2014). Velvet: the inverted Gaussian of
-// Ashikhmin, Premoze and Shirley 2000, with the denominator of Ashikhmin and Premoze 2007.
 #include "acquire/synthetic_object.h"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <span>
 
 #include "base/check.h"
 #include "base/numeric.h"
@@ -17,42 +16,100 @@ constexpr double kTorusRing = 0.68, kTorusTube = 0.28;
 constexpr double kBumpyRadius = 0.85, kBumpHeight = 0.09 / 0.85, kBumpFrequency = 5;
 constexpr double kCylinderRadius = 0.6, kCylinderHalfHeight = 0.75, kCylinderEdge = 0.04;
 
-constexpr double kGrazing = 1e-3;  // least n.v: at silhouettes a sampled point may lie a hair beyond the horizon
-constexpr double kPlasticAlpha = 0.15, kPlasticF0 = 0.04;
-constexpr double kBrushAlong = 0.1, kBrushAcross = 0.4;
-constexpr Vec3 kCopperF0{0.95, 0.64, 0.54};
-constexpr double kVelvetWidth = 0.5;
-constexpr Vec3 kVelvetTint{0.9, 0.16, 0.3};
+// The bowl's mid-surface is the lower half of a sphere; all within half its thickness of it is the bowl.
+constexpr double kBowlRadius = 0.84, kBowlWall = 0.06;
+constexpr Vec3 kBowlCenter{0, 0, 0.4};
 
 // Plain square root: these lengths are near 1, and std::hypot costs more than the rest of the formula.
 double norm(const Vec3& a) {
   return std::sqrt(dot(a, a));
 }
 
-// Sphere, capsule, box and cylinder are all the points at one distance from a convex core.
+// Sphere, capsule, box, cylinder, slab and plate are all the points at one distance from a convex core.
 struct Rounded {
-  Vec3 core_half;  // of the core's box; the cylinder's core is the disc-ended cylinder inside it
+  Vec3 center;
+  Vec3 core_half;  // of the core's box
   double radius;
+  bool disc = false;  // the core is the cylinder along z inside that box
 };
-Rounded rounded(SyntheticShape shape) {
+constexpr Rounded kSphere{{}, {}, 1};
+constexpr Rounded kCapsule{{}, {0, 0, 0.55}, 0.45};
+constexpr Rounded kBox{{}, {0.52, 0.52, 0.52}, 0.08};
+constexpr double kCylinderCore = kCylinderRadius - kCylinderEdge;
+constexpr Rounded kCylinder{
+    {}, {kCylinderCore, kCylinderCore, kCylinderHalfHeight - kCylinderEdge}, kCylinderEdge, true};
+constexpr Rounded kSlab{{}, {0.74, 0.5, 0.05}, 0.09};
+constexpr Rounded kBallOnPlate[] = {{{0, 0, 0.12}, {}, 0.45}, {{0, 0, -0.42}, {0.56, 0.56, 0.02}, 0.04}};
+
+std::span<const Rounded> roundedParts(SyntheticShape shape) {
   switch (shape) {
+    case SyntheticShape::sphere:
+      return {&kSphere, 1};
     case SyntheticShape::capsule:
-      return {{0, 0, 0.55}, 0.45};
+      return {&kCapsule, 1};
     case SyntheticShape::box:
-      return {{0.52, 0.52, 0.52}, 0.08};
-    case SyntheticShape::cylinder: {
-      const double r = kCylinderRadius - kCylinderEdge;
-      return {{r, r, kCylinderHalfHeight - kCylinderEdge}, kCylinderEdge};
-    }
+      return {&kBox, 1};
+    case SyntheticShape::cylinder:
+      return {&kCylinder, 1};
+    case SyntheticShape::slab:
+      return {&kSlab, 1};
+    case SyntheticShape::ball_on_plate:
+      return kBallOnPlate;
     default:
-      return {{0, 0, 0}, 1};
+      return {};
   }
 }
-Vec3 nearestOfCore(SyntheticShape shape, const Vec3& half, const Vec3& p) {
-  Vec3 q{std::clamp(p.x, -half.x, half.x), std::clamp(p.y, -half.y, half.y), std::clamp(p.z, -half.z, half.z)};
-  if (shape != SyntheticShape::cylinder) return q;
-  const double r = std::sqrt(p.x * p.x + p.y * p.y), shrink = r > half.x ? half.x / r : 1;
-  return {p.x * shrink, p.y * shrink, q.z};
+Vec3 nearestOfCore(const Rounded& part, const Vec3& p) {
+  const Vec3 &half = part.core_half, local = p - part.center;
+  Vec3 q{std::clamp(local.x, -half.x, half.x), std::clamp(local.y, -half.y, half.y),
+         std::clamp(local.z, -half.z, half.z)};
+  if (part.disc) {
+    const double r = std::sqrt(local.x * local.x + local.y * local.y), shrink = r > half.x ? half.x / r : 1;
+    q.x = local.x * shrink, q.y = local.y * shrink;
+  }
+  return part.center + q;
+}
+SyntheticObject::Implicit roundedImplicit(const Rounded& part, const Vec3& p) {
+  const Vec3 away = p - nearestOfCore(part, p);
+  const double distance = norm(away);
+  return {distance - part.radius, Vector<AcquisitionSpace>(away / distance)};
+}
+Vec3 roundedFromCube(const Rounded& part, const Vec3& c) {
+  const Vec3 outer = part.center + (part.core_half + Vec3{part.radius, part.radius, part.radius}) * c;
+  const Vec3 q = nearestOfCore(part, outer), away = outer - q;
+  return q + (part.radius / norm(away)) * away;
+}
+
+// The bowl's core is a half circle in the half-plane (r, z) about its axis: below its centre the nearest point lies
+// along the radius, above it is the rim's.
+SyntheticObject::Implicit bowlImplicit(const Vec3& at) {
+  const Vec3 p = at - kBowlCenter;
+  const double r = std::sqrt(p.x * p.x + p.y * p.y), radius = norm(p);
+  if (p.z <= 0) {
+    const double side = radius > kBowlRadius ? 1 : -1;
+    return {side * (radius - kBowlRadius) - kBowlWall, Vector<AcquisitionSpace>((side / radius) * p)};
+  }
+  const double toward_rim = kBowlRadius / r;
+  const Vec3 away = p - Vec3{toward_rim * p.x, toward_rim * p.y, 0};
+  const double distance = norm(away);
+  return {distance - kBowlWall, Vector<AcquisitionSpace>(away / distance)};
+}
+// From the middle of the hollow (up) over the rim to the lowest point outside (down), evenly along the profile.
+Vec3 bowlFromUnit(const Vec3& d) {
+  const double inner = kBowlRadius - kBowlWall, outer = kBowlRadius + kBowlWall;
+  const double along_inner = inner * kPi / 2, along_rim = kBowlWall * kPi, along_outer = outer * kPi / 2;
+  const double across = std::sqrt(d.x * d.x + d.y * d.y);
+  double s = std::atan2(across, d.z) / kPi * (along_inner + along_rim + along_outer), r, z;
+  if (s < along_inner) {
+    r = inner * std::sin(s / inner), z = -inner * std::cos(s / inner);
+  } else if ((s -= along_inner) < along_rim) {
+    r = kBowlRadius - kBowlWall * std::cos(s / kBowlWall), z = kBowlWall * std::sin(s / kBowlWall);
+  } else {
+    s -= along_rim;
+    r = outer * std::cos(s / outer), z = -outer * std::sin(s / outer);
+  }
+  const double turn = across > 0 ? r / across : 0;
+  return kBowlCenter + Vec3{turn * d.x, turn * d.y, z};
 }
 
 // The bumps over unit directions, and their gradient as a function of space.
@@ -69,24 +126,22 @@ Vec3 bumpGradient(const Vec3& d) {
 
 // A point of the surface from a point of the surface of the cube [-1, 1]^3, one to one.
 Vec3 fromCube(SyntheticShape shape, const Vec3& c) {
-  if (shape == SyntheticShape::ellipsoid) return kEllipsoid * (c / norm(c));
-  if (shape == SyntheticShape::bumpy) {
-    const Vec3 d = c / norm(c);
-    return kBumpyRadius * (1 + kBumpHeight * bump(d)) * d;
+  const Vec3 d = c / norm(c);
+  switch (shape) {
+    case SyntheticShape::ellipsoid:
+      return kEllipsoid * d;
+    case SyntheticShape::bumpy:
+      return kBumpyRadius * (1 + kBumpHeight * bump(d)) * d;
+    default:
+      return bowlFromUnit(d);
   }
-  const auto [half, radius] = rounded(shape);
-  const Vec3 outer = (half + Vec3{radius, radius, radius}) * c;
-  const Vec3 q = nearestOfCore(shape, half, outer), away = outer - q;
-  return q + (radius / norm(away)) * away;
 }
 
 // The triangles of an n x n lattice over each side of a cube; vertices on edges are shared.
-AcquisitionMesh cubeMesh(SyntheticShape shape, int n) {
-  // Even angles suit round shapes; even steps suit those with flat sides and narrow rounded edges.
-  const bool flat = shape == SyntheticShape::box || shape == SyntheticShape::cylinder;
-  std::vector<double> step(n + 1);
-  for (int i = 0; i <= n; ++i) step[i] = flat ? 2.0 * i / n - 1 : std::tan(kPi / 4 * (2.0 * i / n - 1));
-  AcquisitionMesh mesh;
+// `step`: from -1 to 1; `from_cube`: the surface point of a point of the cube.
+template <class FromCube>
+void addCube(const std::vector<double>& step, const FromCube& from_cube, AcquisitionMesh& mesh) {
+  const int n = static_cast<int>(step.size()) - 1;
   constexpr std::uint32_t kNone = 0xffffffffu;
   const std::size_t side = n + 1;
   std::vector<std::uint32_t> id(side * side * side, kNone);
@@ -94,7 +149,7 @@ AcquisitionMesh cubeMesh(SyntheticShape shape, int n) {
     std::uint32_t& i = id[(at[2] * side + at[1]) * side + at[0]];
     if (i == kNone) {
       i = static_cast<std::uint32_t>(mesh.positions.size());
-      mesh.positions.emplace_back(fromCube(shape, {step[at[0]], step[at[1]], step[at[2]]}));
+      mesh.positions.emplace_back(from_cube(Vec3{step[at[0]], step[at[1]], step[at[2]]}));
     }
     return i;
   };
@@ -113,7 +168,24 @@ AcquisitionMesh cubeMesh(SyntheticShape shape, int n) {
           mesh.triangles.push_back({a, b, c});
           mesh.triangles.push_back({a, c, d});
         }
-  return mesh;
+}
+
+// Even angles suit round shapes; even steps suit those with flat sides and narrow rounded edges, and steps that narrow
+// towards the ends those whose sides are wide against their edges.
+std::vector<double> evenAngles(int n) {
+  std::vector<double> step(n + 1);
+  for (int i = 0; i <= n; ++i) step[i] = std::tan(kPi / 4 * (2.0 * i / n - 1));
+  return step;
+}
+std::vector<double> stepsFor(const Rounded& part, int n) {
+  const double core = maxComponent(part.core_half);
+  if (core == 0 || part.radius > core / 2) return evenAngles(n);
+  std::vector<double> step(n + 1);
+  for (int i = 0; i <= n; ++i) {
+    const double even = 2.0 * i / n - 1;
+    step[i] = minComponent(part.core_half) < core / 4 ? 0.5 * (even + std::sin(kPi / 2 * even)) : even;
+  }
+  return step;
 }
 
 AcquisitionMesh torusMesh(int n) {
@@ -132,51 +204,16 @@ AcquisitionMesh torusMesh(int n) {
   return mesh;
 }
 
-// Smooth colours and a soft checker. Nothing changes within less than 0.06 units, some 3 pixels of a usual capture, so
-// that photographs of it are not aliased.
-Vec3 textureColor(const Vec3& p) {
-  const double s = std::sin(5.5 * p.x + 0.8) * std::sin(5.5 * p.y + 1.9) * std::sin(5.5 * p.z + 0.5);
-  const double check = 0.5 + 0.5 * s / std::sqrt(s * s + 0.03);
-  const double w1 = 0.5 + 0.5 * std::sin(3.1 * p.x + 2.3 * p.z), w2 = 0.5 + 0.5 * std::sin(4.2 * p.y - 1.7 * p.x + 1);
-  const double w3 = 0.5 + 0.5 * std::sin(3.7 * p.z + 2.9 * p.y + 2);
-  const Vec3 warm{0.80, 0.34 + 0.30 * w1, 0.12 + 0.14 * w2}, cold{0.06 + 0.16 * w3, 0.22 + 0.20 * w2, 0.45 + 0.30 * w1};
-  return check * warm + (1 - check) * cold;
-}
-
-double power5(double x) {
-  return square(square(x)) * x;
-}
-
-// Directions in the frame of a shading point, and their unscaled half vector.
-struct Local {
-  Vec3 l, v, h;
-  double hh;  // |h|^2; for unit l and v, l.h / |h| = |h| / 2
-};
-
-// D V = D G2 / (4 n.l n.v) of GGX.
-double ggx(const Local& d, double ax, double ay) {
-  const double q = square(d.h.x / ax) + square(d.h.y / ay) + square(d.h.z);
-  const double distribution = square(d.hh / q) / (kPi * ax * ay);
-  const double mask_v = d.l.z * std::sqrt(square(ax * d.v.x) + square(ay * d.v.y) + square(d.v.z));
-  const double mask_l = d.v.z * std::sqrt(square(ax * d.l.x) + square(ay * d.l.y) + square(d.l.z));
-  return distribution * 0.5 / (mask_v + mask_l);
-}
-
-double velvetLobe(const Local& d) {
-  const double cos2 = square(d.h.z) / d.hh, sin2 = std::max(1 - cos2, 1e-6), width2 = square(kVelvetWidth);
-  const double distribution = (1 + 4 * std::exp(-cos2 / (sin2 * width2)) / square(sin2)) / (kPi * (1 + 4 * width2));
-  return distribution / (4 * (d.l.z + d.v.z - d.l.z * d.v.z));
-}
-
 }  // namespace
 
 const std::vector<std::string>& syntheticShapeNames() {
-  static const std::vector<std::string> names{"sphere", "ellipsoid", "capsule", "torus", "bumpy", "box", "cylinder"};
+  static const std::vector<std::string> names{"sphere", "ellipsoid", "capsule", "torus", "bumpy",
+                                              "box",    "cylinder",  "bowl",    "slab",  "ball_on_plate"};
   return names;
 }
-const std::vector<std::string>& syntheticMaterialNames() {
-  static const std::vector<std::string> names{"lambert", "plastic", "conductor", "velvet"};
-  return names;
+
+bool SyntheticObject::convex() const {
+  return shape_ == SyntheticShape::ellipsoid || roundedParts(shape_).size() == 1;
 }
 
 SyntheticObject::Implicit SyntheticObject::implicit(const Point<AcquisitionSpace>& at) const {
@@ -199,11 +236,13 @@ SyntheticObject::Implicit SyntheticObject::implicit(const Point<AcquisitionSpace
       return {r - kBumpyRadius * (1 + kBumpHeight * bump(d)),
               Vector<AcquisitionSpace>(d - (kBumpyRadius * kBumpHeight / r) * (slope - dot(slope, d) * d))};
     }
+    case SyntheticShape::bowl:
+      return bowlImplicit(p);
     default: {
-      const auto [half, radius] = rounded(shape_);
-      const Vec3 away = p - nearestOfCore(shape_, half, p);
-      const double distance = norm(away);
-      return {distance - radius, Vector<AcquisitionSpace>(away / distance)};
+      Implicit nearest{INFINITY, {}};
+      for (const Rounded& part : roundedParts(shape_))
+        if (const Implicit f = roundedImplicit(part, p); f.value < nearest.value) nearest = f;
+      return nearest;
     }
   }
 }
@@ -237,46 +276,19 @@ std::optional<Point<AcquisitionSpace>> SyntheticObject::meet(const Ray<Acquisiti
 
 AcquisitionMesh SyntheticObject::tessellate(int cells) const {
   SRF_CHECK(cells >= 2);
-  AcquisitionMesh mesh = shape_ == SyntheticShape::torus ? torusMesh(cells) : cubeMesh(shape_, cells);
+  AcquisitionMesh mesh;
+  const std::span<const Rounded> parts = roundedParts(shape_);
+  if (shape_ == SyntheticShape::torus)
+    mesh = torusMesh(cells);
+  else if (parts.empty())
+    addCube(
+        evenAngles(cells), [&](const Vec3& c) { return fromCube(shape_, c); }, mesh);
+  for (const Rounded& part : parts)
+    addCube(
+        stepsFor(part, cells), [&](const Vec3& c) { return roundedFromCube(part, c); }, mesh);
   mesh.normals.reserve(mesh.positions.size());
   for (const auto& p : mesh.positions) mesh.normals.push_back(normal(p));
   return mesh;
-}
-
-ShadingPoint SyntheticObject::shadingPoint(const Point<AcquisitionSpace>& p) const {
-  const Vec3 gradient = implicit(p).gradient.raw(), n = gradient / norm(gradient);
-  Vec3 around{-p.raw().y, p.raw().x, 0};
-  if (norm(around) < 1e-9) around = {1, 0, 0};
-  around = around - dot(around, n) * n;
-  const Vec3 t = around / norm(around);
-  return {p, Direction<AcquisitionSpace>::fromUnit(n), Direction<AcquisitionSpace>::fromUnit(t),
-          Direction<AcquisitionSpace>::fromUnit(cross(n, t)), textureColor(p.raw())};
-}
-
-Vec3 SyntheticObject::brdf(const ShadingPoint& point, const Direction<AcquisitionSpace>& light,
-                           const Direction<AcquisitionSpace>& view) const {
-  const double nl = dot(point.normal, light);
-  if (nl <= 0) return {};
-  const Vec3 matt = (1 / kPi) * point.albedo;
-  if (material_ == SyntheticMaterial::lambert) return matt;
-  Local d{{dot(point.tangent, light), dot(point.bitangent, light), nl},
-          {dot(point.tangent, view), dot(point.bitangent, view), std::max(dot(point.normal, view), kGrazing)},
-          {},
-          0};
-  d.h = d.l + d.v;
-  d.hh = dot(d.h, d.h);
-  const double grazing = power5(std::max(0.0, 1 - 0.5 * std::sqrt(d.hh)));  // Schlick's, of l.h
-  switch (material_) {
-    case SyntheticMaterial::plastic: {
-      const auto enters = [](double cosine) { return (1 - kPlasticF0) * (1 - power5(1 - cosine)); };
-      const double coat = (kPlasticF0 + (1 - kPlasticF0) * grazing) * ggx(d, kPlasticAlpha, kPlasticAlpha);
-      return enters(d.l.z) * enters(std::min(d.v.z, 1.0)) * matt + Vec3{coat, coat, coat};
-    }
-    case SyntheticMaterial::conductor:
-      return ggx(d, kBrushAlong, kBrushAcross) * (kCopperF0 + grazing * (Vec3{1, 1, 1} - kCopperF0));
-    default:  // velvet
-      return 0.3 * matt + velvetLobe(d) * kVelvetTint;
-  }
 }
 
 }  // namespace srf

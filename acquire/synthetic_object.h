@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "acquire/synthetic_material.h"
 #include "base/camera.h"
 #include "base/mesh.h"
 
@@ -13,23 +14,12 @@ namespace srf {
 
 /// sphere: radius 1. ellipsoid: half axes 1, 0.75, 0.55. capsule: radius 0.45, length 2 along z. torus: radii 0.68 and
 /// 0.28 about z. bumpy: a sphere of radius 0.85 with smooth bumps of +-0.09. box: half side 0.6, edges rounded by 0.08.
-/// cylinder: radius 0.6, half height 0.75, edges rounded by 0.04.
-enum class SyntheticShape { sphere, ellipsoid, capsule, torus, bumpy, box, cylinder };
-/// lambert: textured, matt. plastic: the same texture under a rough dielectric coat (GGX, alpha 0.15). conductor:
-/// brushed copper (GGX, alpha 0.1 along the tangent, 0.4 across). velvet: bright towards grazing angles, faint texture.
-enum class SyntheticMaterial { lambert, plastic, conductor, velvet };
-/// In the order of the enumerations.
+/// cylinder: radius 0.6, half height 0.75, edges rounded by 0.04. bowl: half a spherical shell, open upwards, radius
+/// 0.84, thickness 0.12, rim rounded; no silhouette shows its hollow. slab: half sides 0.83, 0.59, 0.14, edges rounded
+/// by 0.09. ball_on_plate: a ball of radius 0.45 that floats 0.03 above a square plate of half side 0.6.
+enum class SyntheticShape { sphere, ellipsoid, capsule, torus, bumpy, box, cylinder, bowl, slab, ball_on_plate };
+/// In the order of the enumeration.
 const std::vector<std::string>& syntheticShapeNames();
-const std::vector<std::string>& syntheticMaterialNames();
-
-/// What the reflectance at a surface point depends on, found once for all lights.
-struct ShadingPoint {
-  Point<AcquisitionSpace> p;
-  Direction<AcquisitionSpace> normal;
-  Direction<AcquisitionSpace> tangent;    ///< around the z axis, in the tangent plane; along x on the axis itself
-  Direction<AcquisitionSpace> bitangent;  ///< normal x tangent
-  Vec3 albedo;                            ///< of the texture, each within (0, 1)
-};
 
 class SyntheticObject {
  public:
@@ -37,7 +27,8 @@ class SyntheticObject {
 
   SyntheticShape shape() const { return shape_; }
   SyntheticMaterial material() const { return material_; }
-  bool convex() const { return shape_ != SyntheticShape::torus && shape_ != SyntheticShape::bumpy; }
+  /// A convex object casts no shadow on itself.
+  bool convex() const;
 
   /// A smooth function that is 0 on the surface and grows outwards, and its gradient. Valid near the surface.
   struct Implicit {
@@ -55,11 +46,7 @@ class SyntheticObject {
   AcquisitionMesh tessellate(int cells) const;
 
   /// Everything that brdf needs at a point of the surface.
-  ShadingPoint shadingPoint(const Point<AcquisitionSpace>& p) const;
-  /// 1/sr per channel; 0 below the surface on the light's side. Reciprocal, reflects at most what arrives. The viewing
-  /// direction is taken as at least 0.06 degrees above the surface.
-  Vec3 brdf(const ShadingPoint& point, const Direction<AcquisitionSpace>& light,
-            const Direction<AcquisitionSpace>& view) const;
+  ShadingPoint shadingPoint(const Point<AcquisitionSpace>& p) const { return shadingPointOf(material_, p, normal(p)); }
 
  private:
   SyntheticShape shape_;

@@ -142,7 +142,7 @@ class ReferenceScene {
       if (blocked[i]) continue;
       const Sample& s = *lit[i];
       const Incident& in = incident[i];
-      const Vec3 radiance = dot(s.point.normal, in.light) * (object_.brdf(s.point, in.light, s.view) * in.irradiance);
+      const Vec3 radiance = dot(s.point.normal, in.light) * (brdf(s.point, in.light, s.view) * in.irradiance);
       for (int c = 0; c < 3; ++c) rgba[4 * s.x + c] += radiance[c];
     }
   }

@@ -131,6 +131,7 @@ int run(int argc, char** argv) {
       app.add_option("--noise", capture.noise, "noise at white, as a share of it, e.g. 0.02"),
       app.add_option("--exposure", capture.exposure,
                      "gain error of the photographs, standard deviation of its logarithm"),
+      app.add_option("--saturate", capture.saturation, "most radiance that a photograph holds; 0: no bound"),
       app.add_option("--mask-error", capture.mask_error, "error of the masks, pixels"),
       app.add_option("--seed", capture.seed, "of noise, exposure and mask errors")};
 

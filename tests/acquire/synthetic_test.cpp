@@ -113,8 +113,9 @@ TEST(SyntheticObject, TessellationIsClosedOutwardAndOnTheSurface) {
     const AcquisitionMesh mesh = object.tessellate(24);
     const MeshTopology topology = meshTopology(mesh);
     EXPECT_TRUE(topology.closed && topology.manifold && topology.oriented);
-    EXPECT_EQ(topology.components, 1);
-    EXPECT_EQ(topology.euler_characteristic, object.shape() == SyntheticShape::torus ? 0 : 2);
+    const int components = object.shape() == SyntheticShape::ball_on_plate ? 2 : 1;
+    EXPECT_EQ(topology.components, components);
+    EXPECT_EQ(topology.euler_characteristic, object.shape() == SyntheticShape::torus ? 0 : 2 * components);
     EXPECT_GT(meshVolume(mesh), 0);
     for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
       EXPECT_NEAR(object.implicit(mesh.positions[i]).value, 0, 1e-14);
@@ -157,6 +158,16 @@ TEST(SyntheticObject, VolumesAreThoseOfTheFormulas) {
   EXPECT_NEAR(volume(SyntheticShape::ellipsoid) / (4 * kPi / 3 * 0.75 * 0.55), 1, 3e-4);
   EXPECT_NEAR(volume(SyntheticShape::capsule) / (4 * kPi / 3 * 0.45 * 0.45 * 0.45 + kPi * 0.45 * 0.45 * 1.1), 1, 5e-4);
   EXPECT_NEAR(volume(SyntheticShape::torus) / (2 * kPi * kPi * 0.68 * 0.28 * 0.28), 1, 6e-4);
+  // Half a shell, and as its rim half a torus whose tube is a half disc.
+  const double shell = 2 * kPi / 3 * (0.9 * 0.9 * 0.9 - 0.78 * 0.78 * 0.78), rim = kPi * kPi * 0.84 * 0.06 * 0.06;
+  EXPECT_NEAR(volume(SyntheticShape::bowl) / (shell + rim), 1, 1e-3);
+  // Steiner's formula: a box of these sides, and all within r of it.
+  const auto rounded = [](double a, double b, double c, double r) {
+    return a * b * c + 2 * r * (a * b + b * c + c * a) + kPi * r * r * (a + b + c) + 4 * kPi / 3 * r * r * r;
+  };
+  EXPECT_NEAR(volume(SyntheticShape::slab) / rounded(1.48, 1, 0.1, 0.09), 1, 1e-3);
+  const double ball = 4 * kPi / 3 * 0.45 * 0.45 * 0.45, plate = rounded(1.12, 1.12, 0.04, 0.04);
+  EXPECT_NEAR(volume(SyntheticShape::ball_on_plate) / (ball + plate), 1, 1e-3);
 }
 
 TEST(SyntheticObject, RaysMeetTheSphereWhereTheFormulaSays) {
@@ -188,11 +199,11 @@ TEST(SyntheticObject, ReflectanceIsReciprocalAndCreatesNoLight) {
       for (const Vec3& l : sphere) {
         const Dir0 light = Dir0::fromUnit(l);
         const double cosine = dot(point.normal, light);
-        const Vec3 f = object.brdf(point, light, view);
+        const Vec3 f = brdf(point, light, view);
         ASSERT_GE(minComponent(f), 0);
         reflected += (4 * kPi / count * std::max(cosine, 0.0)) * f;
         if (cosine <= 1e-3) continue;
-        const Vec3 back = object.brdf(point, view, light);
+        const Vec3 back = brdf(point, view, light);
         EXPECT_LE(length(f - back), 1e-12 * (1 + length(f)));
       }
       EXPECT_LE(maxComponent(reflected), 1.0) << "n.v = " << view_cosine;
@@ -223,14 +234,49 @@ TEST(SyntheticObject, BrushedMetalReflectsWhatItsFacetsDo) {
   const int count = 200000;
   for (const Vec3& l : spherePoints(count)) {
     const Dir0 light = Dir0::fromUnit(l);
-    reflected += 4 * kPi / count * std::max(0.0, dot(point.normal, light)) * object.brdf(point, light, point.normal).x;
+    reflected += 4 * kPi / count * std::max(0.0, dot(point.normal, light)) * brdf(point, light, point.normal).x;
   }
   EXPECT_NEAR(reflected, expected, 2e-3);  // of the drawing: 0.3 / sqrt(400000) = 5e-4, 4 of them
   // Brushed around the axis: the highlight is narrow along the tangent, wide across.
   const auto off = [&](const Dir0& toward) {
-    return object.brdf(point, *normalize(Vector<AcquisitionSpace>(point.normal) + 0.3 * toward), point.normal).x;
+    return brdf(point, *normalize(Vector<AcquisitionSpace>(point.normal) + 0.3 * toward), point.normal).x;
   };
   EXPECT_GT(off(point.bitangent), 3 * off(point.tangent));
+}
+
+TEST(SyntheticObject, MixedIsPatchesOfTheMaterialsItNames) {
+  std::mt19937 random(17);
+  const SyntheticObject mixed(SyntheticShape::sphere, SyntheticMaterial::mixed);
+  const auto likeA = [&](SyntheticMaterial material, const P0& p, const Dir0& light, const Dir0& view) {
+    return brdf(SyntheticObject(SyntheticShape::sphere, material).shadingPoint(p), light, view) ==
+           brdf(mixed.shadingPoint(p), light, view);
+  };
+  int matt = 0, plastic = 0, metal = 0, rougher = 0;
+  for (int i = 0; i < 4000; ++i) {
+    const P0 p(randomUnit(random));
+    const Dir0 n = mixed.normal(p), view = *normalize(Vector<AcquisitionSpace>(n) + 0.3 * anyPerpendicular(n));
+    const bool is_matt = likeA(SyntheticMaterial::lambert, p, n, view);
+    const bool is_plastic = likeA(SyntheticMaterial::plastic, p, n, view);
+    const bool is_metal = likeA(SyntheticMaterial::conductor, p, n, view);
+    matt += is_matt, plastic += is_plastic, metal += is_metal, rougher += !is_matt && !is_plastic && !is_metal;
+  }
+  for (const int count : {matt, plastic, metal, rougher}) EXPECT_GT(count, 4000 / 10);
+  EXPECT_EQ(matt + plastic + metal + rougher, 4000);
+}
+
+TEST(SyntheticObject, GlossIsNarrowerThanTheSpacingOfItsLights) {
+  // 64 lights are 26 degrees apart. The lobe falls to a half within 3 degrees of light: D does where
+  // tan(half angle) = alpha sqrt(sqrt(2) - 1), i.e. 0.92 degrees of half vector.
+  const SyntheticObject object(SyntheticShape::sphere, SyntheticMaterial::gloss);
+  const ShadingPoint point = object.shadingPoint(P0(0.6, 0, 0.8));
+  const auto at = [&](double degrees_off) {
+    const double a = radians(degrees_off);
+    const Dir0 light = *normalize(std::cos(a) * Vector<AcquisitionSpace>(point.normal) + std::sin(a) * point.tangent);
+    return brdf(point, light, point.normal).x - point.albedo.x / kPi * square(0.96);
+  };
+  EXPECT_GT(at(1.8), 0.5 * at(0));
+  EXPECT_LT(at(1.9), 0.5 * at(0));
+  EXPECT_LT(at(26), 1e-3 * at(0));
 }
 
 TEST(SyntheticCapture, FolderHoldsWhatTheOptionsAskedFor) {
@@ -312,41 +358,44 @@ TEST(SyntheticCapture, ObjectFillsFourFifthsOfThePicture) {
   EXPECT_NEAR(2 * std::sqrt(sum / kPi) / 40, 0.8, 0.005);  // the diameter of a disc of the same area
 }
 
-TEST(SyntheticCapture, TorusShadowsItselfAsRayMarchingSays) {
-  const TemporaryFolder folder;
-  SyntheticCaptureOptions options = small(SyntheticShape::torus, SyntheticMaterial::lambert);
-  options.supersampling = 1;
-  writeSyntheticCapture(options, folder / "cap", Reporter::silent());
-  const SyntheticObject object = readSyntheticObject(folder / "cap");
-  const Capture capture = readCapture(folder / "cap");
-  int shadowed = 0, wrong = 0, compared = 0;
-  for (const CaptureView& view : capture.views)
-    for (const Photo& photo : view.photos) {
-      const ImageF pixels = readImage(photo.file).pixels;
-      const Dir0 light = capture.lights[photo.light->value].direction;
-      for (int y = 0; y < 40; ++y)
-        for (int x = 0; x < 40; ++x) {
-          const auto ray = *view.camera.ray({x + 0.5, y + 0.5});
-          double t = 0;
-          const auto march = [&](P0 from, const Dir0& d, double far) {  // the torus' function is its distance
-            for (t = 0; t < far;) {
-              const double step = object.implicit(from + t * d).value;
-              if (step < 1e-6) return true;
-              t += step;
-            }
-            return false;
-          };
-          if (!march(ray.origin, ray.direction, 10)) continue;
-          const P0 p = object.project(ray.origin + t * ray.direction);
-          if (dot(object.normal(p), light) < 0.05) continue;
-          const bool dark = march(p + 1e-3 * object.normal(p), light, 3);
-          shadowed += dark;
-          wrong += dark != (pixels.at(x, y, 0) == 0);
-          ++compared;
-        }
-    }
-  EXPECT_GT(shadowed, 50);
-  EXPECT_LE(wrong, compared / 500);  // at a shadow's edge the two offsets may differ
+TEST(SyntheticCapture, ConcaveObjectsShadowThemselvesAsRayMarchingSays) {
+  for (const SyntheticShape shape : {SyntheticShape::torus, SyntheticShape::bowl, SyntheticShape::ball_on_plate}) {
+    SCOPED_TRACE(syntheticShapeNames()[static_cast<std::size_t>(shape)]);
+    const TemporaryFolder folder;
+    SyntheticCaptureOptions options = small(shape, SyntheticMaterial::lambert);
+    options.supersampling = 1;
+    writeSyntheticCapture(options, folder / "cap", Reporter::silent());
+    const SyntheticObject object = readSyntheticObject(folder / "cap");
+    const Capture capture = readCapture(folder / "cap");
+    int shadowed = 0, wrong = 0, compared = 0;
+    for (const CaptureView& view : capture.views)
+      for (const Photo& photo : view.photos) {
+        const ImageF pixels = readImage(photo.file).pixels;
+        const Dir0 light = capture.lights[photo.light->value].direction;
+        for (int y = 0; y < 40; ++y)
+          for (int x = 0; x < 40; ++x) {
+            const auto ray = *view.camera.ray({x + 0.5, y + 0.5});
+            double t = 0;
+            const auto march = [&](P0 from, const Dir0& d, double far) {  // the function of these is their distance
+              for (t = 0; t < far;) {
+                const double step = object.implicit(from + t * d).value;
+                if (step < 1e-6) return true;
+                t += step;
+              }
+              return false;
+            };
+            if (!march(ray.origin, ray.direction, 10)) continue;
+            const P0 p = object.project(ray.origin + t * ray.direction);
+            if (dot(object.normal(p), light) < 0.05) continue;
+            const bool dark = march(p + 1e-3 * object.normal(p), light, 3);
+            shadowed += dark;
+            wrong += dark != (pixels.at(x, y, 0) == 0);
+            ++compared;
+          }
+      }
+    EXPECT_GT(shadowed, 50);
+    EXPECT_LE(wrong, compared / 500);  // at a shadow's edge the two offsets may differ
+  }
 }
 
 TEST(SyntheticCapture, SameBytesForAnyThreadCount) {
@@ -410,6 +459,25 @@ TEST(SyntheticCapture, NoiseAndGainHaveTheDeviationAskedFor) {
   // Standard error of a variance: sqrt(2 / count). 4 of them.
   EXPECT_NEAR(noise / samples, 1, 4 * std::sqrt(2.0 / samples));
   EXPECT_NEAR(gain / photos / square(0.1), 1, 4 * std::sqrt(2.0 / photos));
+}
+
+TEST(SyntheticCapture, SaturationCutsOffWhatIsBrighterAndNothingElse) {
+  const TemporaryFolder folder;
+  SyntheticCaptureOptions options = small(SyntheticShape::sphere, SyntheticMaterial::plastic);
+  writeSyntheticCapture(options, folder / "open", Reporter::silent());
+  options.saturation = 0.25;
+  writeSyntheticCapture(options, folder / "full", Reporter::silent());
+  int cut = 0;
+  for (const CaptureView& view : readCapture(folder / "open").views)
+    for (const Photo& photo : view.photos) {
+      const ImageF open = readImage(photo.file).pixels;
+      const ImageF full = readImage(folder / "full" / photo.file.lexically_relative(folder / "open")).pixels;
+      for (std::size_t i = 0; i < open.data().size(); ++i) {
+        EXPECT_EQ(full.data()[i], std::min(open.data()[i], 0.25f));
+        cut += open.data()[i] > 0.25f;
+      }
+    }
+  EXPECT_GT(cut, 50);
 }
 
 TEST(SyntheticCapture, MaskErrorMovesMasksAlone) {
