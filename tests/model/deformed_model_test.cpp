@@ -8,6 +8,7 @@
 
 #include "base/parallel.h"
 #include "tests/model/test_shapes.h"
+#include "tests/support/hard_case.h"
 
 namespace srf {
 namespace {
@@ -84,13 +85,16 @@ TEST_P(OfKind, RestPoseGivesTheIdentity) {
   const DeformedModel rest(model);
   const auto hits = hitsOf(rest, raysAt(3000));
   ASSERT_GT(hitCount(hits), 500u);
+  test::Largest turned, moved;
   for (const SurfaceHit& hit : hits) {
     if (hit.count == 0) continue;
     for (const FrameMode mode : {FrameMode::bisector, FrameMode::polar})
-      ASSERT_LE(differenceOf(lookUpOf(hit, mode), Mat3{}), 1e-12);
-    ASSERT_LE(length(hit.p0.raw() - hit.p_star.raw()), 1e-15);
+      turned.add(differenceOf(lookUpOf(hit, mode), Mat3{}));
+    moved.add(length(hit.p0.raw() - hit.p_star.raw()));
     ASSERT_EQ(hit.tangents.handedness, 1);
   }
+  test::recordHardCase(1, "L at rest: difference from the identity", turned.value, test::atMost(1e-12));
+  test::recordHardCase(1, "p0 - p* at rest, units", moved.value, test::atMost(1e-15));
 }
 
 TEST_P(OfKind, RigidMotionIsUndoneByTheLookUp) {
@@ -161,6 +165,7 @@ TEST_P(OfKind, PhasesOfNeighboursDoNotMatter) {
   // blended frame stays that of the surface.
   DeformableModel model = modelOf(test::torus(60, 30), GetParam());
   Random random;
+  test::Largest turned, tilted;
   for (Vec3& r0 : model.r0)
     r0 = rodriguesFromRotation(Orthogonal<AcquisitionSpace, TangentSpace>(
         rotationFromRodrigues(r0).raw() * rotationAbout({0, 0, 1}, random.uniform(-kPi, kPi))));
@@ -168,15 +173,19 @@ TEST_P(OfKind, PhasesOfNeighboursDoNotMatter) {
   const DeformedModel rest(model);
   for (const SurfaceHit& hit : hitsOf(rest, raysAt(3000))) {
     if (hit.count == 0) continue;
-    ASSERT_LE(differenceOf(lookUpOf(hit), Mat3{}), 1e-12);
+    turned.add(differenceOf(lookUpOf(hit), Mat3{}));
     Vec3 normal;
     for (int i = 0; i < hit.count; ++i) normal += double{hit.weight[i]} * normalOf(hit.point[i]);
     normal = normal / length(normal);
     double spread = 0;
     for (int i = 0; i < hit.count; ++i) spread = std::max(spread, angleBetweenUnit(normalOf(hit.point[i]), normal));
     // Phases up to 60 degrees apart blend unevenly, which tilts the plane by less than its normals differ.
-    ASSERT_LE(angleBetweenUnit(hit.acquisition_from_tangent.raw().column(2), normal), spread + 1e-6);
+    tilted.add(angleBetweenUnit(hit.acquisition_from_tangent.raw().column(2), normal) - spread);
   }
+  test::recordHardCase(29, "neighbours of random phases: L at rest differs from the identity by", turned.value,
+                       test::atMost(1e-12));
+  test::recordHardCase(29, "neighbours of random phases: blended normal outside the cone of its points', radians",
+                       tilted.value, test::atMost(1e-6));
 }
 
 TEST_P(OfKind, AThousandFramesLaterTheRestPoseIsExact) {
@@ -184,10 +193,15 @@ TEST_P(OfKind, AThousandFramesLaterTheRestPoseIsExact) {
   const Rays rays = raysAt(300);
   const DeformedModel rest(model);
   DeformedModel moving(model);
-  for (int frame = 0; frame < 1000; ++frame)
+  for (int frame = 0; frame < test::sized(1000, 10000); ++frame)
     moving.deform(psiOf(R"({"type": "twist", "axis": [0,0,1], "degrees_per_unit": )" + std::to_string(frame) + "}"));
   moving.deform(Deformation());
-  ASSERT_EQ(moving.positions(), rest.positions());
+  std::size_t changed = 0;
+  for (std::size_t i = 0; i < model.size(); ++i)
+    changed += moving.positions()[i] != rest.positions()[i] || moving.tangents()[i].u != rest.tangents()[i].u ||
+               moving.tangents()[i].v != rest.tangents()[i].v;
+  test::recordHardCase(16, "a loop of 1,000 (nightly 10,000) frames back to rest: points whose bits changed",
+                       static_cast<double>(changed), test::atMost(0));
   const auto a = hitsOf(moving, rays), b = hitsOf(rest, rays);
   for (std::size_t i = 0; i < rays.size(); ++i) {
     ASSERT_EQ(a[i].count > 0, b[i].count > 0);
@@ -238,7 +252,11 @@ TEST_P(OfKind, ScaleAndWorldOffsetChangeNothing) {
       different += length(hits[i].p0.raw() - rest_hits[i].p0.raw()) > 1e-4;
       ASSERT_LE(differenceOf(lookUpOf(hits[i]), Mat3{}), 1e-12);
     }
-    EXPECT_LE(different, 4u) << scale << " " << offset;  // rays that graze the silhouette
+    // Rays that graze the silhouette may differ.
+    test::recordHardCase(
+        offset > 0 ? 11 : 4,
+        (offset > 0 ? "1e6 units away" : "scaled by " + s) + std::string(": of 2,000 rays met another place"),
+        static_cast<double>(different), test::atMost(4));
   }
 }
 
@@ -261,7 +279,9 @@ TEST_P(OfKind, PointsSentNowhereAreDroppedAndCounted) {
   for (const double nowhere : {std::nan(""), double{INFINITY}, -1e300}) {
     DeformedModel deformed(model);
     deformed.deform(Deformation({std::make_shared<Hole>(nowhere)}));
-    EXPECT_EQ(deformed.statistics().not_finite, beyond);
+    test::recordHardCase(14, "points that Psi sends nowhere and that are not counted",
+                         std::fabs(static_cast<double>(deformed.statistics().not_finite) - static_cast<double>(beyond)),
+                         test::atMost(0));
     const auto hits = hitsOf(deformed, raysAt(3000));
     EXPECT_GT(hitCount(hits), 300u);
     for (const SurfaceHit& hit : hits) {
@@ -298,7 +318,9 @@ TEST_P(OfKind, CollapsedPointsAreCountedAndNeverNaN) {
   }
   DeformedModel flat(model);
   flat.deform(psiOf(R"({"type": "affine", "matrix": [[1e-30,0,0,0],[0,1e-30,0,0],[0,0,1,0],[0,0,0,1]]})"));
-  EXPECT_GT(flat.statistics().collapsed, model.size() / 2);
+  test::recordHardCase(8, "share of the points of an object flattened to a line that are counted as collapsed",
+                       static_cast<double>(flat.statistics().collapsed) / static_cast<double>(model.size()),
+                       test::atLeast(0.5));
 }
 
 TEST_P(OfKind, FoldsAreCounted) {
@@ -308,7 +330,9 @@ TEST_P(OfKind, FoldsAreCounted) {
   deformed.deform(psiOf(R"({"type": "bend", "axis": [0,0,1], "toward": [1,0,0], "degrees_per_unit": 100})"));
   std::size_t beyond = 0;
   for (const auto& p : model.p0) beyond += p.raw().x > 1 / radians(100);
-  EXPECT_EQ(deformed.statistics().mirrored, beyond);
+  test::recordHardCase(15, "points inside out by a fold that are not counted",
+                       std::fabs(static_cast<double>(deformed.statistics().mirrored) - static_cast<double>(beyond)),
+                       test::atMost(0));
 }
 
 TEST_P(OfKind, MeshSequenceThatMovesRigidlyEqualsTheMotion) {
@@ -408,7 +432,8 @@ TEST(Surfels, LeaveNoHoleAtRestOrDeformed) {
         holes += found[i].count == 0 || deeper;
       }
       EXPECT_GT(met, rays.size() / 20);
-      EXPECT_EQ(holes, 0u) << list;
+      test::recordHardCase(4, "surfels of a closed model at rest, twisted, bent: holes met", static_cast<double>(holes),
+                           test::atMost(0));
     }
   }
 }

@@ -96,8 +96,8 @@ TEST(ReflectanceModel, IsReciprocalButForTheCosine) {
 }
 
 TEST(ReflectanceModel, LobeReflectsAtMostWhatArrives) {
-  // Energy of the lobe with ks = 1 over the hemisphere of lights: facets that send it below the horizon (1 of 12 at alpha 0.3) and Smith masking lose some,
-  // nothing is gained.
+  // Energy of the lobe with ks = 1 over the hemisphere of lights: facets that send it below the horizon (1 of 12 at
+  // alpha 0.3) and Smith masking lose some, nothing is gained.
   for (const float alpha : {0.1f, 0.3f, 0.8f}) {
     const PointReflectance point = pointWith({0, 0, 1}, alpha, alpha);
     for (const double angle : {0.0, 40.0, 75.0}) {
