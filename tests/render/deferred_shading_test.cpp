@@ -7,6 +7,7 @@
 
 #include "base/image_io.h"
 #include "base/parallel.h"
+#include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
 
 namespace srf {
@@ -128,15 +129,18 @@ class DeferredShadingTest : public ::testing::Test {
 
 TEST_F(DeferredShadingTest, SortedEqualsUnsorted) {
   const auto want = shade(1 << 26, ExecutionOrder::immediate);
-  EXPECT_EQ(shade(1 << 26, ExecutionOrder::sorted), want);
+  test::recordHardCase(38, "sorted against immediate: 1 where a bit differs",
+                       shade(1 << 26, ExecutionOrder::sorted) != want, test::atMost(0));
 }
 
 TEST_F(DeferredShadingTest, NeitherThreadsNorCacheSizeChangeABit) {
   setThreadCount(1);
   const auto want = shade(1 << 26, ExecutionOrder::sorted);
   setThreadCount(4);
-  EXPECT_EQ(shade(1, ExecutionOrder::sorted), want);
-  EXPECT_EQ(shade(1 << 26, ExecutionOrder::sorted), want);
+  test::recordHardCase(38, "a cache of one block and 4 threads against one thread: 1 where a bit differs",
+                       shade(1, ExecutionOrder::sorted) != want, test::atMost(0));
+  test::recordHardCase(38, "a cache of everything and 4 threads against one thread: 1 where a bit differs",
+                       shade(1 << 26, ExecutionOrder::sorted) != want, test::atMost(0));
   setThreadCount(0);
 }
 

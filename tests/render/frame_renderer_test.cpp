@@ -7,6 +7,7 @@
 #include "base/numeric.h"
 #include "base/parallel.h"
 #include "tests/support/formula_field.h"
+#include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
 
 namespace srf {
@@ -68,9 +69,11 @@ TEST_F(FrameRendererTest, NeitherThreadsNorMemoryChangeABit) {
   setThreadCount(1);
   const Frame want = render(settings);
   setThreadCount(3);
-  EXPECT_EQ(render(settings).rgba.data(), want.rgba.data());
+  test::recordHardCase(38, "a frame by 3 threads and by 1: 1 where a bit differs",
+                       render(settings).rgba.data() != want.rgba.data(), test::atMost(0));
   settings.memory_bytes = 1 << 16;  // one block of texels, one block of pixels at a time
-  EXPECT_EQ(render(settings).rgba.data(), want.rgba.data());
+  test::recordHardCase(38, "a frame with 64 KiB of memory and with 1 GiB: 1 where a bit differs",
+                       render(settings).rgba.data() != want.rgba.data(), test::atMost(0));
   setThreadCount(0);
 }
 

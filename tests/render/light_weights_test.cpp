@@ -6,6 +6,7 @@
 #include <random>
 
 #include "base/numeric.h"
+#include "tests/support/hard_case.h"
 
 namespace srf {
 namespace {
@@ -188,11 +189,14 @@ TEST(LightWeights, APointLightFallsOffWithTheSquareOfTheDistance) {
   // On the surface itself the distance is cut off, and everything stays finite.
   stage.lights.near_lights = {{Point<ObjectSpace>(0, 0, 0), {1, 1, 1}}};
   sum = 0;
+  double unusable = 0;
   for (const float w : stage.weights(Look(), 1)) {
-    ASSERT_TRUE(std::isfinite(w));
+    unusable += !(std::isfinite(w) && w >= 0);
     sum += w;
   }
   EXPECT_GT(sum, 0);
+  test::recordHardCase(40, "point light on the surface: weights that are negative, NaN or infinite", unusable,
+                       test::atMost(0));
 }
 
 TEST(LightWeights, ACapturedLightIsTakenAsItWasPhotographed) {
