@@ -60,9 +60,9 @@ void renderReferences(const ReferenceJob& job, const std::string& command, Repor
   const SyntheticObject object = readSyntheticObject(job.capture);
   const Capture capture = readCapture(job.capture);
   Scene scene = readScene(job.scene, job.overrides, reporter);
-  if (scene.deformation.hasSequence())
+  if (scene.deformation.movesVertices())
     throw badInput(job.scene.string() + ": /deformation",
-                   "'sequence' moves the vertices of a mesh; a reference needs maps of space");
+                   "'skin' and 'sequence' move the vertices of a mesh; a reference needs maps of space");
   for (SceneLight& light : scene.lights)
     if (auto* environment = std::get_if<EnvironmentLight>(&light)) {
       // Every texel of a small map. Of a large one, 1024 samples are within 78 dB of 4096 (a studio, on rough plastic).

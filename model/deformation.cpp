@@ -6,8 +6,9 @@
 #include <functional>
 #include <limits>
 
-#include "base/mesh_io.h"
+#include "base/check.h"
 #include "base/numeric.h"
+#include "model/skinning.h"
 
 // Twist, taper and bend: Barr, Global and Local Deformations of Solid Primitives, 1984. Lattice: Sederberg and Parry,
 // Free-Form Deformation of Solid Geometric Models, 1986. Every map works on p - origin, so that an object far from the
@@ -416,6 +417,34 @@ Linear<ObjectSpace, AcquisitionSpace> Deformation::differences(const Point<Acqui
   return Linear<ObjectSpace, AcquisitionSpace>(Mat3::fromColumns(column[0], column[1], column[2]));  // Eq. 6
 }
 
+namespace {
+
+AnimatedDeformation::BindVertices parseSkin(const JsonNode& node, const std::filesystem::path& folder) {
+  node.onlyKeys({"type", "file", "mesh", "animation", "proxy"});
+  SkinSource source;
+  source.gltf = std::make_shared<const Gltf>(readGltf(folder / node["file"].string()));
+  source.where = node.where();
+  source.node = source.gltf->meshNode(node.has("mesh") ? node["mesh"].string() : "", node.where() + "/mesh");
+  source.animation =
+      source.gltf->animation(node.has("animation") ? node["animation"].string() : "", node.where() + "/animation");
+  source.proxy = node.has("proxy") && node["proxy"].boolean();
+  return [source](const AcquisitionMesh& rest, double fps, Reporter& reporter) {
+    return skinMotion(source, rest, fps, reporter);
+  };
+}
+
+AnimatedDeformation::BindVertices parseSequence(const JsonNode& node, const std::filesystem::path& folder) {
+  node.onlyKeys({"type", "file"});
+  const std::string pattern = node["file"].string();
+  if (std::filesystem::path(pattern).filename().string().find('#') == std::string::npos)
+    throw node["file"].error("found '" + pattern + "', expected a pattern such as name.####.ply");
+  return [file = (folder / pattern).string()](const AcquisitionMesh& rest, double, Reporter&) {
+    return sequenceMotion(file, rest);
+  };
+}
+
+}  // namespace
+
 struct AnimatedDeformation::Step {
   MakeMap make;
   bool constant = true;
@@ -428,14 +457,12 @@ AnimatedDeformation AnimatedDeformation::parse(const JsonNode& list, const std::
   AnimatedDeformation result;
   for (std::size_t i = 0; i < list.size(); ++i) {
     const JsonNode node = list.at(i);
-    const std::size_t type = node["type"].choice({"affine", "twist", "taper", "bend", "wave", "ffd", "sequence"});
-    if (type == kParsers.size()) {
-      node.onlyKeys({"type", "file"});
-      if (i != 0) throw node.error("a sequence moves the model's own vertices; expected it as the first deformation");
-      const std::string pattern = node["file"].string();
-      if (std::filesystem::path(pattern).filename().string().find('#') == std::string::npos)
-        throw node["file"].error("found '" + pattern + "', expected a pattern such as name.####.ply");
-      result.sequence_pattern_ = (folder / pattern).string();
+    const std::size_t type =
+        node["type"].choice({"affine", "twist", "taper", "bend", "wave", "ffd", "skin", "sequence"});
+    if (type >= kParsers.size()) {
+      if (i != 0)
+        throw node.error("moves the model's own vertices; expected it as the first deformation, and only one such");
+      result.bind_ = type == kParsers.size() ? parseSkin(node, folder) : parseSequence(node, folder);
       continue;
     }
     std::vector<double> key_frames;
@@ -470,47 +497,17 @@ Deformation AnimatedDeformation::at(double frame) const {
 }
 
 bool AnimatedDeformation::constant() const {
-  return !hasSequence() && std::all_of(steps_.begin(), steps_.end(), [](const auto& step) { return step->constant; });
+  return !movesVertices() && std::all_of(steps_.begin(), steps_.end(), [](const auto& step) { return step->constant; });
 }
 
-bool AnimatedDeformation::hasSequence() const {
-  return !sequence_pattern_.empty();
+bool AnimatedDeformation::movesVertices() const {
+  return static_cast<bool>(bind_);
 }
 
-std::vector<Point<ObjectSpace>> AnimatedDeformation::sequencePositions(int frame, const AcquisitionMesh& rest) const {
-  // The last run of # in the name becomes the frame, filled with zeros.
-  std::string file = sequence_pattern_;
-  const std::size_t last = file.find_last_of('#'), before = file.find_last_not_of('#', last);
-  const std::size_t first = before == std::string::npos ? 0 : before + 1;
-  std::string digits = std::to_string(std::abs(frame));
-  if (digits.size() < last - first + 1) digits.insert(0, last - first + 1 - digits.size(), '0');
-  file.replace(first, last - first + 1, (frame < 0 ? "-" : "") + digits);
-
-  const AcquisitionMesh mesh = readMesh(file);
-  const auto different = [&file](const std::string& what, std::size_t found, std::size_t expected) {
-    return badInput(file, "has " + std::to_string(found) + " " + what + ", the model's rest mesh has " +
-                              std::to_string(expected) + "; a sequence keeps the mesh that the model was made from");
-  };
-  if (mesh.positions.size() != rest.positions.size())
-    throw different("vertices", mesh.positions.size(), rest.positions.size());
-  if (mesh.triangles.size() != rest.triangles.size())
-    throw different("triangles", mesh.triangles.size(), rest.triangles.size());
-  for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
-    // The rest mesh may have been turned outwards: the corners count, not their order.
-    Triangle a = mesh.triangles[t], b = rest.triangles[t];
-    std::sort(a.begin(), a.end());
-    std::sort(b.begin(), b.end());
-    if (a == b) continue;
-    const auto corners = [](const Triangle& c) {
-      return std::to_string(c[0]) + " " + std::to_string(c[1]) + " " + std::to_string(c[2]);
-    };
-    throw badInput(file, "triangle " + std::to_string(t) + " joins vertices " + corners(mesh.triangles[t]) +
-                             ", in the model's rest mesh " + corners(rest.triangles[t]) +
-                             "; a sequence keeps the mesh that the model was made from");
-  }
-  std::vector<Point<ObjectSpace>> positions(mesh.positions.size());
-  for (std::size_t i = 0; i < positions.size(); ++i) positions[i] = Point<ObjectSpace>(mesh.positions[i].raw());
-  return positions;
+std::unique_ptr<const VertexMotion> AnimatedDeformation::vertexMotion(const AcquisitionMesh& rest, double fps,
+                                                                      Reporter& reporter) const {
+  SRF_CHECK(movesVertices());
+  return bind_(rest, fps, reporter);
 }
 
 }  // namespace srf

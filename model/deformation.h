@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -13,6 +14,7 @@
 #include "base/mesh.h"
 #include "base/reporter.h"
 #include "base/transform.h"
+#include "model/mesh_motion.h"
 
 namespace srf {
 
@@ -55,18 +57,20 @@ class AnimatedDeformation {
   /// whose walls moved) go to the reporter.
   static AnimatedDeformation parse(const JsonNode& list, const std::filesystem::path& folder, Reporter& reporter);
 
-  /// The maps of space at `frame`, without a leading sequence.
+  /// The maps of space at `frame`, without a leading skin or sequence.
   Deformation at(double frame) const;
   bool constant() const;  ///< the same at every frame
-  /// A leading `sequence`: the vertices of the rest mesh at `frame`, in object space before the maps of space apply.
-  bool hasSequence() const;
-  /// Reads and checks the frame's mesh (topology as `rest`); throws bad_input that names file and difference.
-  std::vector<Point<ObjectSpace>> sequencePositions(int frame, const AcquisitionMesh& rest) const;
+  /// A leading `skin` or `sequence`: what moves the vertices of the rest mesh before the maps of space apply.
+  bool movesVertices() const;
+  /// Finds which vertex of the file moves which of `rest`; `fps`: frames a second, for files that count in seconds.
+  /// Throws bad_input that names file, vertex and what was found where they do not belong together.
+  std::unique_ptr<const VertexMotion> vertexMotion(const AcquisitionMesh& rest, double fps, Reporter& reporter) const;
+  using BindVertices = std::function<std::unique_ptr<const VertexMotion>(const AcquisitionMesh&, double, Reporter&)>;
 
  private:
   struct Step;
   std::vector<std::shared_ptr<const Step>> steps_;
-  std::string sequence_pattern_;  ///< absolute or relative to the working directory; empty: none
+  BindVertices bind_;  ///< empty: no skin, no sequence
 };
 
 }  // namespace srf

@@ -51,18 +51,18 @@ DeformedModel::DeformedModel(const DeformableModel& model)
   deform(Deformation());
 }
 
-void DeformedModel::deform(const Deformation& psi, const std::vector<Point<ObjectSpace>>* sequence) {
-  carry(psi, sequence);
+void DeformedModel::deform(const Deformation& psi, const MovedVertices* moved) {
+  carry(psi, moved);
   updateScene();
 }
 
-void DeformedModel::carry(const Deformation& psi, const std::vector<Point<ObjectSpace>>* sequence) {
+void DeformedModel::carry(const Deformation& psi, const MovedVertices* moved) {
   statistics_ = {};
-  const AcquisitionMesh rest = sequence ? model_.restMesh() : AcquisitionMesh();
+  const AcquisitionMesh rest = moved ? model_.restMesh() : AcquisitionMesh();
   MeshMotion motion;
-  if (sequence) {
+  if (moved) {
     if (!parts_) parts_ = meshParts(rest);
-    motion = meshMotion(rest, *parts_, *sequence);
+    motion = meshMotion(rest, *parts_, *moved);
   }
   // Each chunk counts for itself: the sum does not depend on the threads.
   std::vector<DeformedStatistics> counts((model_.size() + kGrain - 1) / kGrain);
@@ -73,16 +73,16 @@ void DeformedModel::carry(const Deformation& psi, const std::vector<Point<Object
       Point<AcquisitionSpace> from = model_.p0[i];
       Linear<ObjectSpace, AcquisitionSpace> gradient;
       int handedness = 1;
-      if (sequence && model_.kind == ModelKind::mesh) {
-        from = Point<AcquisitionSpace>((*sequence)[i].raw());
+      if (moved && model_.kind == ModelKind::mesh) {
+        from = Point<AcquisitionSpace>(moved->positions[i].raw());
         gradient = motion.gradient[i];
         handedness = motion.handedness[i];
-      } else if (sequence) {
+      } else if (moved) {
         const Triangle& corners = rest.triangles[model_.anchor_triangle[i]];
         const auto [b1, b2] = model_.anchor_weights[i];
         const double weights[3] = {1.0 - b1 - b2, b1, b2};
-        const Vec3 &a = (*sequence)[corners[0]].raw(), &b = (*sequence)[corners[1]].raw(),
-                   &c = (*sequence)[corners[2]].raw();
+        const Vec3 &a = moved->positions[corners[0]].raw(), &b = moved->positions[corners[1]].raw(),
+                   &c = moved->positions[corners[2]].raw();
         from = Point<AcquisitionSpace>(a + (weights[1] * (b - a) + weights[2] * (c - a)));
         Mat3 sum = 0.0 * Mat3{};
         for (int k = 0; k < 3; ++k) sum = sum + weights[k] * motion.gradient[corners[k]].raw();
@@ -90,9 +90,9 @@ void DeformedModel::carry(const Deformation& psi, const std::vector<Point<Object
         handedness = motion.handedness[corners[0]];
       }
       p_star_[i] = psi.map(from);
-      // M8: tangents by the analytic Jacobian (its check is Eq. 6), after the sequence by the chain rule.
+      // M8: tangents by the analytic Jacobian (its check is Eq. 6), after moved vertices by the chain rule.
       const Linear<ObjectSpace, AcquisitionSpace> space = psi.jacobian(from);
-      const Mat3 jacobian = sequence ? space.raw() * gradient.raw() : space.raw();
+      const Mat3 jacobian = moved ? space.raw() * gradient.raw() : space.raw();
       if (determinant(space) < 0) handedness = -handedness;
       tangents_[i] = {Vector<ObjectSpace>(jacobian * frame.column(0)), Vector<ObjectSpace>(jacobian * frame.column(1)),
                       handedness};

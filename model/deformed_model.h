@@ -31,17 +31,17 @@ struct DeformedStatistics {
   std::size_t not_finite = 0;  ///< points that Psi sent nowhere: dropped
   std::size_t mirrored = 0;    ///< points of negative handedness
   std::size_t collapsed = 0;   ///< points whose tangents gave no frame
-  /// Points on open parts of a mesh sequence: nothing tells whether they are mirrored, they are taken not to be. Worth
-  /// a warning.
+  /// Points on open parts that a mesh sequence moves: nothing tells whether they are mirrored, they are taken not to
+  /// be. Worth a warning.
   std::size_t unsure_handedness = 0;
 };
 
 class DeformedModel {
  public:
   explicit DeformedModel(const DeformableModel& model);  ///< at rest; the model must outlive it
-  /// Moves to a frame: always from p0 and R0, so nothing drifts. `sequence`: positions of the rest mesh's vertices
-  /// before the maps of space, where the animation has a mesh sequence.
-  void deform(const Deformation& psi, const std::vector<Point<ObjectSpace>>* sequence = nullptr);
+  /// Moves to a frame: always from p0 and R0, so nothing drifts. `moved`: the rest mesh's vertices before the maps of
+  /// space, where the animation has a skin or a mesh sequence.
+  void deform(const Deformation& psi, const MovedVertices* moved = nullptr);
 
   const DeformableModel& model() const { return model_; }
   const std::vector<Point<ObjectSpace>>& positions() const { return p_star_; }
@@ -54,7 +54,7 @@ class DeformedModel {
   Box<ObjectSpace> bounds() const;
 
  private:
-  void carry(const Deformation& psi, const std::vector<Point<ObjectSpace>>* sequence);
+  void carry(const Deformation& psi, const MovedVertices* moved);
   void updateScene();
   void intersectTriangles(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
   void intersectSplats(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
@@ -67,7 +67,7 @@ class DeformedModel {
   std::vector<Tangents<ObjectSpace>> tangents_;
   std::vector<Vector<ObjectSpace>> splat_u_, splat_v_;  ///< kind surfels: tangents times rest radius
   double longest_splat_ = 0;                            ///< longest half axis of all, units
-  std::optional<MeshParts> parts_;                      ///< of the rest mesh, once a sequence has moved it
+  std::optional<MeshParts> parts_;                      ///< of the rest mesh, once its vertices were moved
   std::optional<RayScene<ObjectSpace>> scene_;
   DeformedStatistics statistics_;
 };

@@ -6,6 +6,8 @@
 #include <numeric>
 
 #include "base/check.h"
+#include "base/error.h"
+#include "base/mesh_io.h"
 
 namespace srf {
 namespace {
@@ -40,7 +42,66 @@ Mat3 gradientOf(const Vec3& e1, const Vec3& e2, const Vec3& moved_e1, const Vec3
   return Mat3::fromColumns(moved_e1, moved_e2, stretched) * inverse(Mat3::fromColumns(e1, e2, n / twice));
 }
 
+// The last run of # in the name becomes the frame, filled with zeros.
+std::string fileOfFrame(std::string file, int frame) {
+  const std::size_t last = file.find_last_of('#'), before = file.find_last_not_of('#', last);
+  const std::size_t first = before == std::string::npos ? 0 : before + 1;
+  std::string digits = std::to_string(std::abs(frame));
+  if (digits.size() < last - first + 1) digits.insert(0, last - first + 1 - digits.size(), '0');
+  return file.replace(first, last - first + 1, (frame < 0 ? "-" : "") + digits);
+}
+
+class Sequence final : public VertexMotion {
+ public:
+  Sequence(const std::string& pattern, const AcquisitionMesh& rest) : pattern_(pattern), rest_(rest) {}
+  MovedVertices at(double frame) const override {
+    const double whole = std::floor(frame), part = frame - whole;
+    MovedVertices moved{positions(static_cast<int>(whole)), {}};
+    if (part == 0) return moved;
+    const auto next = positions(static_cast<int>(whole) + 1);
+    for (std::size_t i = 0; i < next.size(); ++i)
+      moved.positions[i] = moved.positions[i] + part * (next[i] - moved.positions[i]);
+    return moved;
+  }
+
+ private:
+  std::vector<Point<ObjectSpace>> positions(int frame) const {
+    const std::string file = fileOfFrame(pattern_, frame);
+    const AcquisitionMesh mesh = readMesh(file);
+    const auto different = [&file](const std::string& what, std::size_t found, std::size_t expected) {
+      return badInput(file, "has " + std::to_string(found) + " " + what + ", the model's rest mesh has " +
+                                std::to_string(expected) + "; a sequence keeps the mesh that the model was made from");
+    };
+    if (mesh.positions.size() != rest_.positions.size())
+      throw different("vertices", mesh.positions.size(), rest_.positions.size());
+    if (mesh.triangles.size() != rest_.triangles.size())
+      throw different("triangles", mesh.triangles.size(), rest_.triangles.size());
+    for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
+      // The rest mesh may have been turned outwards: the corners count, not their order.
+      Triangle a = mesh.triangles[t], b = rest_.triangles[t];
+      std::sort(a.begin(), a.end());
+      std::sort(b.begin(), b.end());
+      if (a == b) continue;
+      const auto corners = [](const Triangle& c) {
+        return std::to_string(c[0]) + " " + std::to_string(c[1]) + " " + std::to_string(c[2]);
+      };
+      throw badInput(file, "triangle " + std::to_string(t) + " joins vertices " + corners(mesh.triangles[t]) +
+                               ", in the model's rest mesh " + corners(rest_.triangles[t]) +
+                               "; a sequence keeps the mesh that the model was made from");
+    }
+    std::vector<Point<ObjectSpace>> positions(mesh.positions.size());
+    for (std::size_t i = 0; i < positions.size(); ++i) positions[i] = Point<ObjectSpace>(mesh.positions[i].raw());
+    return positions;
+  }
+  std::string pattern_;
+  AcquisitionMesh rest_;
+};
+
 }  // namespace
+
+std::unique_ptr<const VertexMotion> sequenceMotion(const std::string& pattern, const AcquisitionMesh& rest) {
+  return std::make_unique<Sequence>(pattern, rest);
+}
 
 MeshParts meshParts(const AcquisitionMesh& rest) {
   const std::size_t count = rest.positions.size();
@@ -80,14 +141,14 @@ MeshParts meshParts(const AcquisitionMesh& rest) {
   return parts;
 }
 
-MeshMotion meshMotion(const AcquisitionMesh& rest, const MeshParts& parts,
-                      const std::vector<Point<ObjectSpace>>& moved) {
-  const std::size_t count = rest.positions.size();
-  SRF_CHECK(moved.size() == count && parts.part_of_vertex.size() == count);
-  MeshMotion motion;
-  motion.handedness.assign(count, 1);
+namespace {
+
+// M8: the sign of each closed part's volume against rest.
+void handednessByVolume(const AcquisitionMesh& rest, const MeshParts& parts,
+                        const std::vector<Point<ObjectSpace>>& moved, MeshMotion& motion) {
+  motion.handedness.assign(moved.size(), 1);
   const std::vector<double> volume = partVolumes(moved, rest.triangles, parts.part_of_vertex, parts.closed.size());
-  for (std::size_t i = 0; i < count; ++i) {
+  for (std::size_t i = 0; i < moved.size(); ++i) {
     const std::uint32_t part = parts.part_of_vertex[i];
     if (!parts.closed[part]) {
       ++motion.unsure;
@@ -95,6 +156,19 @@ MeshMotion meshMotion(const AcquisitionMesh& rest, const MeshParts& parts,
       motion.handedness[i] = -1;
     }
   }
+}
+
+}  // namespace
+
+MeshMotion meshMotion(const AcquisitionMesh& rest, const MeshParts& parts, const MovedVertices& to) {
+  const std::vector<Point<ObjectSpace>>& moved = to.positions;
+  const std::size_t count = rest.positions.size();
+  SRF_CHECK(moved.size() == count && parts.part_of_vertex.size() == count);
+  MeshMotion motion;
+  if (to.handedness.empty())
+    handednessByVolume(rest, parts, moved, motion);
+  else
+    motion.handedness = to.handedness;
   std::vector<Mat3> sum(count, 0.0 * Mat3{});
   std::vector<double> weight(count, 0);
   for (const auto& t : rest.triangles) {

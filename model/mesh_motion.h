@@ -1,13 +1,35 @@
-// What a mesh that moves vertex by vertex does to tangents on it (M8): deformation gradients, and where it is mirrored.
+// A mesh that moves vertex by vertex: by a mesh for each frame, or by a glTF skin (skinning.h); and what that does to
+// tangents on it (M8): deformation gradients, and where it is mirrored.
 #pragma once
 
 #include <cstdint>
+#include <memory>
+#include <string>
 #include <vector>
 
 #include "base/mesh.h"
 #include "base/transform.h"
 
 namespace srf {
+
+/// The vertices of a rest mesh at one frame.
+struct MovedVertices {
+  std::vector<Point<ObjectSpace>> positions;
+  /// Of each vertex, -1 where the motion mirrors; empty: nobody knows, the volumes of closed parts tell.
+  std::vector<std::int8_t> handedness;
+};
+
+/// What moves the vertices of a rest mesh over the frames, before the maps of space. Immutable and thread-safe.
+class VertexMotion {
+ public:
+  virtual ~VertexMotion() = default;
+  /// Throws bad_input that names file, frame and vertex where the frame does not fit the rest mesh.
+  virtual MovedVertices at(double frame) const = 0;
+};
+
+/// One PLY or OBJ mesh a frame (the last run of # in the pattern's file name is the frame) with the topology of `rest`;
+/// between whole frames the vertices move straight.
+std::unique_ptr<const VertexMotion> sequenceMotion(const std::string& pattern, const AcquisitionMesh& rest);
 
 /// The connected parts of a rest mesh.
 struct MeshParts {
@@ -20,11 +42,9 @@ MeshParts meshParts(const AcquisitionMesh& rest);
 struct MeshMotion {
   std::vector<Linear<ObjectSpace, AcquisitionSpace>>
       gradient;                         ///< of each vertex: its triangles' weighted by rest area
-  std::vector<std::int8_t> handedness;  ///< of each vertex: -1 where its closed part was turned inside out, else +1
+  std::vector<std::int8_t> handedness;  ///< of each vertex: as given, or -1 where its closed part was turned inside out
   std::size_t unsure = 0;               ///< vertices of open parts, whose handedness cannot be told and is taken as +1
 };
-/// `moved`: the vertices of `rest`, moved.
-MeshMotion meshMotion(const AcquisitionMesh& rest, const MeshParts& parts,
-                      const std::vector<Point<ObjectSpace>>& moved);
+MeshMotion meshMotion(const AcquisitionMesh& rest, const MeshParts& parts, const MovedVertices& moved);
 
 }  // namespace srf

@@ -33,11 +33,6 @@ std::set<std::string> checkedLayers(const std::vector<std::string>& asked) {
   return {asked.begin(), asked.end()};
 }
 
-/// The mesh whose vertices a mesh sequence moves.
-AcquisitionMesh restMesh(const DeformableModel& model) {
-  return model.kind == ModelKind::surfels ? model.rest_mesh : AcquisitionMesh{model.p0, model.triangles, {}};
-}
-
 /// What a frame's picture depends on, as it stands in the frame's header: --resume keeps a frame that says the same.
 Attributes commonAttributes(const Scene& scene, const SrfManifest& manifest, const fs::path& srf,
                             const std::set<std::string>& layers) {
@@ -109,12 +104,14 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
   const SrfManifest manifest = readManifest(srf);
   const DeformableModel model = loadModel(srf, manifest);
   const LightSet light_set(scene, manifest, reporter);
-  const AcquisitionMesh rest = scene.deformation.hasSequence() ? restMesh(model) : AcquisitionMesh{};
+  const auto vertex_motion = scene.deformation.movesVertices()
+                                 ? scene.deformation.vertexMotion(model.restMesh(), scene.fps, reporter)
+                                 : nullptr;
   for (const int number : numbers) {
     scene.cameraAt(number);
     scene.deformation.at(number);
     light_set.at(number);
-    if (scene.deformation.hasSequence()) scene.deformation.sequencePositions(number, rest);
+    if (vertex_motion) vertex_motion->at(number);
   }
   if (!numbers.empty()) PartialFile may_write(frameFile(pattern, numbers.front()));
 
@@ -130,16 +127,17 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
     RenderedFrame result{number, frameFile(pattern, number)};
     Attributes attributes = common;
     attributes["frameNumber"] = std::to_string(number);
-    std::optional<std::vector<Point<ObjectSpace>>> sequence;
-    if (scene.deformation.hasSequence()) {
-      sequence = scene.deformation.sequencePositions(number, rest);
-      attributes["sequenceHash"] = hexHash(contentHash(sequence->data(), sequence->size() * sizeof(sequence->front())));
+    std::optional<MovedVertices> vertices;
+    if (vertex_motion) {
+      vertices = vertex_motion->at(number);
+      const auto& positions = vertices->positions;
+      attributes["verticesHash"] = hexHash(contentHash(positions.data(), positions.size() * sizeof positions[0]));
     }
     if (options.resume && finished(result.file, attributes)) {
       result.kept = true;
     } else {
       if (!moved || !scene.deformation.constant()) {
-        deformed.deform(scene.deformation.at(number), sequence ? &*sequence : nullptr);
+        deformed.deform(scene.deformation.at(number), vertices ? &*vertices : nullptr);
         countPoints(deformed.statistics(), number, reporter);
         moved = true;
       }

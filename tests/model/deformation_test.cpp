@@ -280,7 +280,7 @@ TEST(Deformation, BadParametersAreNamed) {
     EXPECT_NE(error.find("scene.json: " + place), std::string::npos) << error;
     EXPECT_NE(error.find(reason), std::string::npos) << error;
   };
-  expect(R"([{"type": "spin"}])", "/0/type", "'affine', 'twist', 'taper', 'bend', 'wave', 'ffd', 'sequence'");
+  expect(R"([{"type": "spin"}])", "/0/type", "'affine', 'twist', 'taper', 'bend', 'wave', 'ffd', 'skin', 'sequence'");
   expect(R"([{"type": "twist", "axis": [0,0,0], "degrees_per_unit": 1}])", "/0/axis", "direction");
   expect(R"([{"type": "twist", "axis": [0,0,1], "degrees_per_unit": "much"}])", "/0/degrees_per_unit", "");
   expect(R"([{"type": "twist", "axis": [0,0,1], "degree_per_unit": 1}])", "/0/degree_per_unit", "degrees_per_unit");
@@ -345,15 +345,16 @@ TEST(MeshSequence, GivesTheFramesMeshAndNamesTheFirstDifference) {
                                   {"type": "twist", "axis": [0,0,1], "degrees_per_unit": 10}])",
                               "scene.json");
   const auto animation = AnimatedDeformation::parse(list, folder.path(), Reporter::silent());
-  EXPECT_TRUE(animation.hasSequence());
+  ASSERT_TRUE(animation.movesVertices());
+  const auto motion = animation.vertexMotion(rest, 24, Reporter::silent());
   EXPECT_FALSE(animation.constant());
   EXPECT_FALSE(animation.at(7).identity());
-  const auto positions = animation.sequencePositions(7, rest);
+  const auto positions = motion->at(7).positions;
   ASSERT_EQ(positions.size(), 4u);
   EXPECT_EQ(positions[1], Point<ObjectSpace>(6, 0, 0));
   const auto error_at = [&](int frame) -> std::string {
     try {
-      animation.sequencePositions(frame, rest);
+      motion->at(frame);
     } catch (const Error& e) {
       return e.what();
     }

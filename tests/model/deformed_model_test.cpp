@@ -340,7 +340,7 @@ TEST_P(OfKind, MeshSequenceThatMovesRigidlyEqualsTheMotion) {
   const AcquisitionMesh rest = model.restMesh();
   for (const std::string& list : {std::string(kRigid), std::string(kMirror)}) {
     const Deformation psi = psiOf(list);
-    const auto moved = carried(rest.positions, psi);
+    const MovedVertices moved{carried(rest.positions, psi), {}};
     DeformedModel by_map(model), by_sequence(model);
     // The maps of space apply on top of the sequence.
     by_map.deform(psiOf(list + "," + kTwist));
@@ -366,7 +366,7 @@ TEST_P(OfKind, MeshSequenceApproachesTheMapItSamples) {
   const DeformableModel model = modelOf(test::torus(160, 80), GetParam(), 10000);
   const AcquisitionMesh rest = model.restMesh();
   const Deformation psi = psiOf(kTwist);
-  const auto moved = carried(rest.positions, psi);
+  const MovedVertices moved{carried(rest.positions, psi), {}};
   DeformedModel by_map(model), by_sequence(model);
   by_map.deform(psi);
   by_sequence.deform(Deformation(), &moved);
@@ -384,7 +384,7 @@ TEST(DeformedModel, OpenSequenceIsTakenAsUnmirroredAndReported) {
   open.triangles.resize(open.triangles.size() - 8);
   const DeformableModel model = modelOf(open);
   DeformedModel deformed(model);
-  const auto moved = carried(open.positions, psiOf(kMirror));
+  const MovedVertices moved{carried(open.positions, psiOf(kMirror)), {}};
   deformed.deform(Deformation(), &moved);
   EXPECT_EQ(deformed.statistics().unsure_handedness, open.positions.size());
   EXPECT_EQ(deformed.statistics().mirrored, 0u);
@@ -403,10 +403,10 @@ TEST(DeformedModel, OnePartOfASequenceMayBeMirrored) {
     two.triangles.push_back({c[0] + shift, c[1] + shift, c[2] + shift});
   }
   const DeformableModel model = modelOf(two);
-  std::vector<Point<ObjectSpace>> moved;
+  MovedVertices moved;
   for (std::size_t i = 0; i < two.positions.size(); ++i) {
     const Vec3 p = two.positions[i].raw();
-    moved.emplace_back(i < first ? p : Vec3{p.x, p.y, -p.z});
+    moved.positions.emplace_back(i < first ? p : Vec3{p.x, p.y, -p.z});
   }
   DeformedModel deformed(model);
   deformed.deform(Deformation(), &moved);
