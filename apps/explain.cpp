@@ -74,7 +74,7 @@ class Explanation {
       line(6, "r0", text(model.r0[point]));
       line(6, "u0, v0, n0", text(r0.column(0)) + " " + text(r0.column(1)) + " " + text(r0.column(2)));
       line(6, "u, v", text(t.u.raw()) + " " + text(t.v.raw()));
-      if (scene_.deformation.hasSequence()) {
+      if (scene_.deformation.movesVertices()) {
         line(6, "sigma", text("%+d, from the mesh that moves the point", t.handedness));
       } else {
         const Vec3 w = psi_.jacobian(model.p0[point]).raw() * r0.column(2);

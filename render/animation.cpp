@@ -172,9 +172,10 @@ ExplainedFrame explainPixel(const Scene& scene, const AnimationOptions& options,
   result.model = loadModel(srf, result.field);
   result.lights = LightSet(scene, result.field, reporter).at(frame);
   DeformedModel deformed(result.model);
-  std::optional<std::vector<Point<ObjectSpace>>> sequence;
-  if (scene.deformation.hasSequence()) sequence = scene.deformation.sequencePositions(frame, restMesh(result.model));
-  deformed.deform(scene.deformation.at(frame), sequence ? &*sequence : nullptr);
+  std::optional<MovedVertices> vertices;
+  if (scene.deformation.movesVertices())
+    vertices = scene.deformation.vertexMotion(result.model.restMesh(), scene.fps, reporter)->at(frame);
+  deformed.deform(scene.deformation.at(frame), vertices ? &*vertices : nullptr);
   const FrameSettings settings{scene.accuracy, scene.samples, {}, options.memory_bytes};
   FrameRenderer renderer(srf, result.field, result.model, settings, reporter);
   result.pixel = renderer.explain(camera, deformed, result.lights, x, y);
