@@ -34,7 +34,8 @@ struct Piece {
   float distance(float px, float py) const {
     const float ax = px - x, ay = py - y;
     const float along = std::clamp(ax * dx + ay * dy, -kFootprint, kFootprint);
-    return std::hypot(ax - along * dx, ay - along * dy);
+    const float x_off = ax - along * dx, y_off = ay - along * dy;
+    return std::sqrt(x_off * x_off + y_off * y_off);
   }
 };
 

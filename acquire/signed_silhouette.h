@@ -1,6 +1,7 @@
 // The signed distance to a silhouette's contour, in pixels: negative inside, zero where the coverage is one half.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 #include "base/image.h"
@@ -27,16 +28,18 @@ class SignedSilhouette {
     const double upper = row[0] + s * (row[1] - row[0]), lower = next[0] + s * (next[1] - next[0]);
     const double inside = upper + t * (lower - upper);
     // Half a pixel beyond the outer centres is still the picture.
-    const double over_x = std::fmax(std::fabs(u - cu) - 0.5, 0), over_y = std::fmax(std::fabs(v - cv) - 0.5, 0);
+    const double over_x = positive(std::fabs(u - cu) - 0.5), over_y = positive(std::fabs(v - cv) - 0.5);
     if (over_x == 0 && over_y == 0) return inside;
-    const double x_out = std::fmax(std::fmax(inner_left_ - u, u - inner_right_), 0);
-    const double y_out = std::fmax(std::fmax(inner_top_ - v, v - inner_bottom_), 0);
-    return std::fmax(std::hypot(over_x, over_y, inside), std::hypot(x_out, y_out) - 1);
+    const double x_out = positive(std::max(inner_left_ - u, u - inner_right_));
+    const double y_out = positive(std::max(inner_top_ - v, v - inner_bottom_));
+    return std::max(std::hypot(over_x, over_y, inside), std::hypot(x_out, y_out) - 1);
   }
   /// Whether the silhouette reaches the picture's edge: the object may go on outside.
   bool cropped() const { return cropped_; }
 
  private:
+  static double positive(double x) { return std::max(x, 0.0); }
+
   ImageF distance_;
   double left_ = 0, top_ = 0, last_x_ = 0, last_y_ = 0;                         ///< of the kept box, pixels
   double inner_left_ = 0, inner_top_ = 0, inner_right_ = 0, inner_bottom_ = 0;  ///< of the silhouette in it

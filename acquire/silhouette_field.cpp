@@ -43,15 +43,37 @@ double stretchOf(const Intrinsics& lens) {
   return kMarginOfStretch * most;
 }
 
+bool distorted(const Intrinsics& lens) {
+  return lens.model != CameraModel::pinhole && lens.model != CameraModel::orthographic;
+}
+
+double widthOf(const Intrinsics& lens, const Vec3& p) {
+  const double across = std::hypot(p.x, p.y);
+  return lens.model == CameraModel::opencv_fisheye ? std::atan2(across, p.z) : across / p.z;
+}
+
+// The largest length of (x/z, y/z), for a fisheye the largest angle, of rays through the picture of a distorted lens:
+// that of its edge. Nothing is known where the lens does not reach the edge.
+double widestOf(const Intrinsics& lens) {
+  if (!distorted(lens)) return INFINITY;
+  constexpr int kSamples = 24;
+  double widest = 0;
+  for (int k = 0; k <= kSamples; ++k) {
+    const double x = double(k) * lens.width / kSamples, y = double(k) * lens.height / kSamples;
+    for (const Vec2& edge : {Vec2{x, 0}, Vec2{x, double(lens.height)}, Vec2{0, y}, Vec2{double(lens.width), y}}) {
+      const auto ray = lens.unproject(edge);
+      if (!ray || (lens.model != CameraModel::opencv_fisheye && !(ray->raw().z > 0))) return INFINITY;
+      widest = std::max(widest, widthOf(lens, ray->raw()));
+    }
+  }
+  return kMarginOfStretch * widest;
+}
+
 // a x + b y + c z + d, in an order of its own: a corner has the same bits from every brick.
 struct Affine {
   double a, b, c, d;
   double at(const Vec3& p) const { return a * p.x + (b * p.y + (c * p.z + d)); }
 };
-
-bool distorted(const Intrinsics& lens) {
-  return lens.model != CameraModel::pinhole && lens.model != CameraModel::orthographic;
-}
 
 }  // namespace
 
@@ -70,16 +92,17 @@ SilhouetteField::SilhouetteField(std::span<const Camera<AcquisitionSpace>> camer
                                  const Box<AcquisitionSpace>& bounds)
     : tolerance_(tolerance), bounds_(bounds) {
   for (std::size_t i = 0; i < cameras.size(); ++i)
-    views_.push_back({cameras[i], silhouettes[i], stretchOf(cameras[i].lens)});
+    views_.push_back({cameras[i], silhouettes[i], stretchOf(cameras[i].lens), widestOf(cameras[i].lens)});
 }
 
 // The octree walk over one lattice.
 class SilhouetteField::Carver {
  public:
   // `lipschitz`: how fast a silhouette's distance may change from pixel to pixel. 1 for exact distances; interpolated
-  // ones are bounded by sqrt(2).
-  Carver(const SilhouetteField& field, const Lattice& lattice, double lipschitz)
-      : field_(field), lattice_(lattice), lipschitz_(lipschitz) {
+  // ones are bounded by sqrt(2). Nodes within the box `known` are passed over.
+  Carver(const SilhouetteField& field, const Lattice& lattice, double lipschitz,
+         const Box<AcquisitionSpace>& known = {})
+      : field_(field), lattice_(lattice), lipschitz_(lipschitz), known_(known) {
     for (const View& view : field.views_) {
       // Rows of the camera's axes, acting on lattice coordinates; the origins are subtracted first, far from the
       // world's.
@@ -123,9 +146,12 @@ class SilhouetteField::Carver {
     const double radius = half * std::sqrt(3.0) * lattice_.cell;
     const double to_bounds = boundsDistance(center);
     if (to_bounds > radius) return;
+    if (minComponent((lattice_.at(center) - Point<AcquisitionSpace>(known_.min)).raw()) >= half * lattice_.cell &&
+        minComponent((Point<AcquisitionSpace>(known_.max) - lattice_.at(center)).raw()) >= half * lattice_.cell)
+      return;
 
     Node next = node;
-    int outside = 0, unsure = 0, unsure_whole = 0;
+    int outside = 0, off = 0, unsure = 0, unsure_whole = 0;
     for (std::size_t i = begin; i < end; ++i) {
       const std::uint16_t view = views[i];
       const Verdict verdict = judge(view, center, radius);
@@ -135,14 +161,18 @@ class SilhouetteField::Carver {
         ++next.seen;
       } else {
         views.push_back(view);
+        const bool partly = verdict == Verdict::off || verdict == Verdict::unsure;
         outside += verdict == Verdict::outside;
-        unsure += verdict == Verdict::unsure;
-        unsure_whole += verdict == Verdict::unsure && views_[view].whole;
+        off += verdict == Verdict::off && views_[view].whole;
+        unsure += partly;
+        unsure_whole += partly && views_[view].whole;
       }
     }
     const auto listed = static_cast<std::uint32_t>(views.size() - end);
     const std::uint32_t most_seen = next.seen + listed, least_seen = most_seen - unsure;
-    const bool kept = outside <= field_.tolerance_ && most_seen > 0 && next.missed <= most_seen;
+    // Of the views that are off, no more than the tolerance leaves may see a point of the node; the others miss it.
+    const int misses = std::max(0, off - (field_.tolerance_ - outside));
+    const bool kept = outside <= field_.tolerance_ && most_seen > 0 && next.missed + 2 * misses <= most_seen;
     const bool inside = listed <= static_cast<std::uint32_t>(field_.tolerance_) && least_seen > 0 &&
                         next.missed + unsure_whole <= least_seen && to_bounds < -radius - kDeep * lattice_.cell;
     if (kept && inside) {
@@ -175,46 +205,93 @@ class SilhouetteField::Carver {
     });
   }
 
-  // phi at a lattice position, from the views that matter there.
-  double value(const Node& node, std::span<const std::uint16_t> views, const Vec3& p) const {
-    double largest[kMostTolerance + 1];
-    const int count = field_.tolerance_ + 1;
-    std::fill(largest, largest + count, -kDeep * lattice_.cell);
-    std::uint32_t seen = node.seen, missed = node.missed;
+  // phi at lattice positions of one brick, from the views that matter there. View by view, so that the loops over the
+  // positions become vector instructions.
+  struct Positions {
+    static constexpr int kMost = 3 * kBrick * kBrick * kBrick;  // at most one on every edge that a brick owns
+    static_assert(kMost >= kBrickCorners);
+    int count = 0;
+    double x[kMost], y[kMost], z[kMost];
+
+    void add(const Vec3& p) { x[count] = p.x, y[count] = p.y, z[count] = p.z, ++count; }
+    Vec3 at(int i) const { return {x[i], y[i], z[i]}; }
+  };
+  void values(const Node& node, std::span<const std::uint16_t> views, const Positions& at, double* phi) const {
+    const int n = at.count, kept = field_.tolerance_ + 1;
+    double largest[kMostTolerance + 1][Positions::kMost];
+    for (int k = 0; k < kept; ++k) std::fill(largest[k], largest[k] + n, -kDeep * lattice_.cell);
+    std::uint32_t unseen_whole[Positions::kMost] = {}, unseen[Positions::kMost] = {};
     for (const std::uint16_t index : views) {
       const LatticeView& view = views_[index];
-      double x, y, unit = view.unit;
-      if (!project(index, p, x, y, unit) || !(x >= 0 && y >= 0 && x <= view.width && y <= view.height)) {
-        missed += view.whole;
-        continue;
+      const SignedSilhouette& silhouette = *field_.views_[index].silhouette;
+      double x[Positions::kMost], y[Positions::kMost], unit[Positions::kMost], d[Positions::kMost];
+      project(index, at, x, y, unit);
+      for (int i = 0; i < n; ++i) {
+        const bool sees = unit[i] > 0 && x[i] >= 0 && y[i] >= 0 && x[i] <= view.width && y[i] <= view.height;
+        d[i] = sees ? silhouette.at(x[i], y[i]) * unit[i] : -kDeep * lattice_.cell;
+        unseen[i] += !sees;
+        unseen_whole[i] += !sees && view.whole;
       }
-      ++seen;
-      double d = field_.views_[index].silhouette->at(x, y) * unit;
-      for (int k = 0; k < count; ++k)
-        if (d > largest[k]) std::swap(d, largest[k]);
+      for (int k = 0; k < kept; ++k)
+        for (int i = 0; i < n; ++i) {
+          const double larger = std::max(largest[k][i], d[i]);
+          d[i] = std::min(largest[k][i], d[i]);
+          largest[k][i] = larger;
+        }
     }
-    double phi = largest[count - 1];
-    if (seen == 0 || missed > seen) phi = std::max(phi, lattice_.cell);
-    return std::max(phi, boundsDistance(p));
+    const auto listed = static_cast<std::uint32_t>(views.size());
+    for (int i = 0; i < n; ++i) {
+      const std::uint32_t seen = node.seen + listed - unseen[i], missed = node.missed + unseen_whole[i];
+      phi[i] = largest[kept - 1][i];
+      if (seen == 0 || missed > seen) phi[i] = std::max(phi[i], lattice_.cell);
+      phi[i] = std::max(phi[i], boundsDistance(at.at(i)));
+    }
+  }
+
+  // The box of the nodes that a walk visits and that pass a test.
+  template <class Test>
+  Box<AcquisitionSpace> boxOfNodes(const Test& passes) const {
+    std::vector<Box<AcquisitionSpace>> parts(kParts * kParts * kParts);
+    walkAll(nullptr, [&](std::size_t part) {
+      return [&, part](Kind kind, const Node& node, std::span<const std::uint16_t> views) {
+        if (!passes(kind, node, views)) return;
+        const Vec3 low{double(node.x), double(node.y), double(node.z)};
+        parts[part].extend(lattice_.at(low));
+        parts[part].extend(lattice_.at(low + double(node.size) * Vec3{1, 1, 1}));
+      };
+    });
+    Box<AcquisitionSpace> box;
+    for (const auto& part : parts)
+      if (!part.empty()) box.extend(Point<AcquisitionSpace>(part.min)), box.extend(Point<AcquisitionSpace>(part.max));
+    return box;
+  }
+
+  bool hasInsideCorner(const Node& node, std::span<const std::uint16_t> views) const {
+    double phi[Positions::kMost];
+    values(node, views, cornersOf(node), phi);
+    return std::any_of(phi, phi + kBrickCorners, [](double value) { return value < 0; });
   }
 
   // The part of the surface in a brick; nothing is added where it has none.
   void addBrick(const Node& node, std::span<const std::uint16_t> views, std::vector<IsoBrick>& bricks,
                 std::vector<Point<AcquisitionSpace>>& vertices) const {
-    double phi[kBrickCorners];
+    Positions at = cornersOf(node);
+    double phi[Positions::kMost];
+    values(node, views, at, phi);
     IsoBrick brick;
-    for (int z = 0; z <= kBrick; ++z)
-      for (int y = 0; y <= kBrick; ++y)
-        for (int x = 0; x <= kBrick; ++x) {
-          const int corner = brickCorner(x, y, z);
-          phi[corner] = value(node, views, {double(node.x + x), double(node.y + y), double(node.z + z)});
-          if (phi[corner] < 0) brick.inside[corner / 64] |= std::uint64_t{1} << (corner % 64);
-        }
     int inside = 0;
-    for (int corner = 0; corner < kBrickCorners; ++corner) inside += brick.isInside(corner);
+    for (int corner = 0; corner < kBrickCorners; ++corner) {
+      brick.inside[corner / 64] |= std::uint64_t{phi[corner] < 0} << (corner % 64);
+      inside += phi[corner] < 0;
+    }
     if (inside == 0 || inside == kBrickCorners) return;
     brick.place = {node.x / kBrick, node.y / kBrick, node.z / kBrick};
     brick.first_vertex = static_cast<std::uint32_t>(vertices.size());
+    struct Edge {
+      double start, from, to, first;  // along its axis; phi at its ends; share of it where the first guess lies
+      int axis;
+    } edges[Positions::kMost];
+    at.count = 0;
     for (int axis = 0; axis < 3; ++axis)
       for (int bit = 0; bit < kBrick * kBrick * kBrick; ++bit) {
         const int x = bit % kBrick, y = bit / kBrick % kBrick, z = bit / (kBrick * kBrick);
@@ -222,15 +299,21 @@ class SilhouetteField::Carver {
         if (brick.isInside(a) == brick.isInside(b)) continue;
         brick.crossed[axis] |= std::uint64_t{1} << bit;
         Vec3 p{double(node.x + x), double(node.y + y), double(node.z + z)};
-        const double start = p[axis], first = crossing(phi[a], phi[b]);
-        // One step of false position: the maximum of several cones has creases, where the first guess is off.
-        p[axis] = start + first;
-        const double middle = value(node, views, p);
-        const double t = (middle < 0) == (phi[a] < 0) ? first + (1 - first) * crossing(middle, phi[b])
-                                                      : first * crossing(phi[a], middle);
-        p[axis] = start + std::clamp(t, kEnd, 1 - kEnd);
-        vertices.push_back(lattice_.at(p));
+        const Edge edge{p[axis], phi[a], phi[b], crossing(phi[a], phi[b]), axis};
+        edges[at.count] = edge;
+        p[axis] = edge.start + edge.first;
+        at.add(p);
       }
+    // One step of false position: the maximum of several cones has creases, where the first guess is off.
+    values(node, views, at, phi);
+    for (int i = 0; i < at.count; ++i) {
+      const Edge& edge = edges[i];
+      const double t = (phi[i] < 0) == (edge.from < 0) ? edge.first + (1 - edge.first) * crossing(phi[i], edge.to)
+                                                       : edge.first * crossing(edge.from, phi[i]);
+      Vec3 p = at.at(i);
+      p[edge.axis] = edge.start + std::clamp(t, kEnd, 1 - kEnd);
+      vertices.push_back(lattice_.at(p));
+    }
     bricks.push_back(brick);
   }
 
@@ -241,7 +324,16 @@ class SilhouetteField::Carver {
     int width, height;
     bool distorted, whole;
   };
-  enum class Verdict { inside, outside, undecided, unsure, unseen };  // unsure: partly outside the picture
+  // Of points in a ball. Partly out of the picture: off where those in it are outside the silhouette, else unsure.
+  enum class Verdict { inside, outside, undecided, off, unsure, unseen };
+
+  static Positions cornersOf(const Node& node) {
+    Positions at;
+    for (int z = 0; z <= kBrick; ++z)
+      for (int y = 0; y <= kBrick; ++y)
+        for (int x = 0; x <= kBrick; ++x) at.add({double(node.x + x), double(node.y + y), double(node.z + z)});
+    return at;
+  }
 
   static double crossing(double a, double b) { return std::clamp(a / (a - b), kEnd, 1 - kEnd); }
 
@@ -279,29 +371,54 @@ class SilhouetteField::Carver {
     return true;
   }
 
+  // The same for many; `unit` is 0 where there is no pixel.
+  void project(std::uint16_t index, const Positions& at, double* x, double* y, double* unit) const {
+    const LatticeView& view = views_[index];
+    if (view.distorted) {
+      for (int i = 0; i < at.count; ++i) {
+        unit[i] = view.unit;
+        if (!project(index, at.at(i), x[i], y[i], unit[i])) unit[i] = 0;
+      }
+      return;
+    }
+    for (int i = 0; i < at.count; ++i) {
+      const Vec3 p{at.x[i], at.y[i], at.z[i]};
+      const double w = view.weight.at(p), inverse = 1 / w;
+      x[i] = view.pixel_x.at(p) * inverse;
+      y[i] = view.pixel_y.at(p) * inverse;
+      unit[i] = view.unit * w;
+    }
+  }
+
   // What a view says of a whole ball.
   Verdict judge(std::uint16_t index, const Vec3& center, double radius) const {
     const LatticeView& view = views_[index];
     const View& source = field_.views_[index];
-    double reach = source.stretch * radius, nearest = 1;  // pixels; weight of the ball's nearest point
-    if (source.camera.lens.model == CameraModel::opencv_fisheye) {
-      const double away = length(inCamera(view, center).raw());
-      nearest = away - radius;
-      if (!(nearest > 1e-6 * radius)) return Verdict::unsure;
-      reach = source.stretch * std::asin(radius / away);
-    } else if (!source.camera.lens.isOrthographic()) {
+    const Intrinsics& lens = source.camera.lens;
+    double reach = radius, nearest = 1;  // of what the lens maps to pixels; weight of the ball's nearest point
+    if (!lens.isOrthographic()) {
       const Vec3 c = inCamera(view, center).raw();
-      if (c.z <= -radius) return Verdict::unseen;
-      nearest = c.z - radius;
-      if (!(nearest > 1e-6 * radius)) return Verdict::unsure;
-      // |d(x/z, y/z)| <= |d| sqrt(1 + (x^2 + y^2) / z^2) / (z - |d|)
-      reach *= std::sqrt(1 + (c.x * c.x + c.y * c.y) / (c.z * c.z)) / nearest;
+      if (lens.model == CameraModel::opencv_fisheye) {
+        const double away = length(c);
+        nearest = away - radius;
+        if (!(nearest > 1e-6 * radius)) return Verdict::unsure;
+        reach = std::asin(radius / away);
+      } else {
+        if (c.z <= -radius) return Verdict::unseen;
+        nearest = c.z - radius;
+        if (!(nearest > 1e-6 * radius)) return Verdict::unsure;
+        // |d(x/z, y/z)| <= |d| sqrt(1 + (x^2 + y^2) / z^2) / (z - |d|)
+        reach *= std::sqrt(1 + (c.x * c.x + c.y * c.y) / (c.z * c.z)) / nearest;
+      }
+      if (view.distorted && widthOf(lens, c) - reach > source.widest) return Verdict::unseen;
     }
+    reach *= source.stretch;
     double x, y, unit = view.unit;
     if (!project(index, center, x, y, unit)) return Verdict::unsure;
     if (x + reach < 0 || y + reach < 0 || x - reach > view.width || y - reach > view.height) return Verdict::unseen;
-    if (x - reach < 0 || y - reach < 0 || x + reach > view.width || y + reach > view.height) return Verdict::unsure;
     const double d = source.silhouette->at(x, y), most = lipschitz_ * reach + kSlack;
+    if (x - reach < 0 || y - reach < 0 || x + reach > view.width || y + reach > view.height)
+      return d > most ? Verdict::off : Verdict::unsure;
     if (d > most) return Verdict::outside;
     if (d < -most - kDeep * lattice_.cell / (view.unit * nearest)) return Verdict::inside;
     return Verdict::undecided;
@@ -310,22 +427,22 @@ class SilhouetteField::Carver {
   const SilhouetteField& field_;
   const Lattice& lattice_;
   double lipschitz_;
+  Box<AcquisitionSpace> known_;
   std::vector<LatticeView> views_;
 };
 
 Box<AcquisitionSpace> SilhouetteField::occupied(const Lattice& lattice) const {
   const Carver carver(*this, lattice, 1.0);
-  std::vector<Box<AcquisitionSpace>> parts(Carver::kParts * Carver::kParts * Carver::kParts);
-  carver.walkAll(nullptr, [&](std::size_t part) {
-    return [&, part](Carver::Kind, const Carver::Node& node, std::span<const std::uint16_t>) {
-      const Vec3 low{double(node.x), double(node.y), double(node.z)};
-      parts[part].extend(lattice.at(low));
-      parts[part].extend(lattice.at(low + double(node.size) * Vec3{1, 1, 1}));
-    };
-  });
-  Box<AcquisitionSpace> box;
-  for (const auto& part : parts)
-    if (!part.empty()) box.extend(Point<AcquisitionSpace>(part.min)), box.extend(Point<AcquisitionSpace>(part.max));
+  return carver.boxOfNodes([](Carver::Kind, const Carver::Node&, std::span<const std::uint16_t>) { return true; });
+}
+
+Box<AcquisitionSpace> SilhouetteField::extent(const Lattice& lattice, const Box<AcquisitionSpace>& known) const {
+  const Carver carver(*this, lattice, 1.0, known);
+  Box<AcquisitionSpace> box =
+      carver.boxOfNodes([&](Carver::Kind kind, const Carver::Node& node, std::span<const std::uint16_t> views) {
+        return kind == Carver::Kind::inside || carver.hasInsideCorner(node, views);
+      });
+  if (!known.empty()) box.extend(Point<AcquisitionSpace>(known.min)), box.extend(Point<AcquisitionSpace>(known.max));
   return box;
 }
 

@@ -41,6 +41,8 @@ class SilhouetteField {
   /// The brick-sized blocks of the lattice that no bound shows to lie outside, as the box of their corners; empty
   /// where there are none.
   Box<AcquisitionSpace> occupied(const Lattice& lattice) const;
+  /// The box of `known` and of what the lattice's corners find inside the surface beyond it; empty where both are.
+  Box<AcquisitionSpace> extent(const Lattice& lattice, const Box<AcquisitionSpace>& known) const;
   /// The surface on the lattice, clipped to `bounds`: closed and manifold.
   AcquisitionMesh surface(const Lattice& lattice, Reporter& reporter) const;
 
@@ -49,6 +51,7 @@ class SilhouetteField {
     Camera<AcquisitionSpace> camera;
     const SignedSilhouette* silhouette;
     double stretch;  ///< pixels: bounds how far a movement of the point moves its picture
+    double widest;   ///< no point is seen where the length of (x/z, y/z), or a fisheye's angle, is larger
   };
   class Carver;
   std::vector<View> views_;

@@ -10,7 +10,6 @@
 #include "base/error.h"
 #include "base/numeric.h"
 #include "base/parallel.h"
-#include "base/ray_scene.h"
 
 namespace srf {
 namespace {
@@ -73,6 +72,10 @@ HullView prepare(const SilhouetteView& view) {
   return out;
 }
 
+double longestSide(const Box3& box) {
+  return maxComponent(box.max - box.min);
+}
+
 using HullViews = std::vector<const HullView*>;
 
 SilhouetteField makeField(const HullViews& views, int tolerance, const Box3& bounds) {
@@ -133,9 +136,9 @@ Box3 guessBounds(const HullViews& views) {
   return box;
 }
 
-// The part of the box that the views leave, to `steps` along its longest side.
-Box3 occupied(const HullViews& views, int tolerance, const Box3& box, int steps) {
-  const double cell = maxComponent(box.max - box.min) / (steps * kBrick);
+// The part of the box that no bound shows to lie outside, to a 32nd of its longest side.
+Box3 occupied(const HullViews& views, int tolerance, const Box3& box) {
+  const double cell = longestSide(box) / (32 * kBrick);
   Box3 found = makeField(views, tolerance, box).occupied(latticeAround(box, cell));
   for (int i = 0; i < 3; ++i) {
     found.min[i] = std::max(found.min[i], box.min[i]);
@@ -148,77 +151,115 @@ AcquisitionMesh carve(const HullViews& views, int tolerance, const Box3& tight, 
   return makeField(views, tolerance, tight).surface(latticeAround(tight, cell), reporter);
 }
 
-double longestSide(const Box3& box) {
-  return maxComponent(box.max - box.min);
+// Cells of one pixel's footprint along the longest side of a box, between two bounds.
+int pixelsAcross(const HullViews& views, const Box3& box, int least, int most) {
+  std::vector<double> footprint;
+  for (const HullView* v : views)
+    if (const auto seen = v->view->camera.project(box.center()); seen && seen->depth > 0)
+      footprint.push_back(v->view->camera.pixelFootprint(seen->depth));
+  if (footprint.empty()) return least;
+  return static_cast<int>(std::clamp<double>(std::ceil(longestSide(box) / median(footprint)), least, most));
 }
 
-// Blocks that straddle the edge of a picture cannot be told to be outside, so a box of blocks may stay far too large: a
-// rough surface in it then shows where the object is.
-Box3 shrunkToSurface(const HullViews& views, int tolerance, Box3 box, int steps) {
-  constexpr int kMostRounds = 8;
+// A tight box about what the views leave in a box: that of a rough surface, and of what finer cells find outside it.
+// Blocks that straddle the edge of a picture cannot be told to be outside, so they alone would stay far too large.
+Box3 shrunk(const HullViews& views, int tolerance, Box3 box) {
+  constexpr int kRough = 32, kFine = 512, kMostRounds = 8;
   for (int round = 0; round < kMostRounds && !box.empty(); ++round) {
-    const double cell = longestSide(box) / kCoarseCells;
-    Box3 surface = carve(views, tolerance, box, cell, Reporter::silent()).bounds();
-    if (surface.empty()) return box;
-    for (int i = 0; i < 3; ++i) {
-      surface.min[i] = std::max(surface.min[i] - 2 * cell, box.min[i]);
-      surface.max[i] = std::min(surface.max[i] + 2 * cell, box.max[i]);
+    const double side = longestSide(box), fine = side / pixelsAcross(views, box, 2 * kRough, kFine);
+    const SilhouetteField field = makeField(views, tolerance, box);
+    const Box3 rough = field.surface(latticeAround(box, side / kRough), Reporter::silent()).bounds();
+    const Box3 found = field.extent(latticeAround(box, fine), rough);
+    if (found.empty()) return box;
+    for (int i = 0; i < 3; ++i) {  // a cell more, for tips between the corners
+      box.min[i] = std::max(found.min[i] - fine, box.min[i]);
+      box.max[i] = std::min(found.max[i] + fine, box.max[i]);
     }
-    if (longestSide(surface) > 0.75 * longestSide(box)) return box;
-    box = occupied(views, tolerance, surface, steps);
+    if (longestSide(box) > 0.75 * side) break;
   }
   return box;
 }
 
 // A tight box about what the views leave. Where no bounds are given the guess grows until the hull stays off its faces.
 Box3 tightBounds(const HullViews& views, int tolerance, const std::optional<Box3>& given) {
-  constexpr int kRough = 32, kFine = 64;
-  if (given) return shrunkToSurface(views, tolerance, occupied(views, tolerance, *given, kFine), kFine);
+  if (given) return shrunk(views, tolerance, occupied(views, tolerance, *given));
   Box3 box = guessBounds(views);
   for (int round = 0;; ++round) {
-    const Box3 found = occupied(views, tolerance, box, kRough);
-    const double margin = 0.02 * maxComponent(box.max - box.min);
+    const Box3 found = occupied(views, tolerance, box);
+    const double margin = 0.02 * longestSide(box);
     const bool touches = minComponent(found.min - box.min) < margin || minComponent(box.max - found.max) < margin;
     if (found.empty()) return found;
-    if (!touches || round == 4)
-      return shrunkToSurface(views, tolerance, occupied(views, tolerance, found, kFine), kFine);
+    if (!touches || round == 4) return shrunk(views, tolerance, found);
     const Vec3 more = 0.3 * (box.max - box.min);
     box.min -= more, box.max += more;
   }
+}
+
+// Which samples of a picture the mesh covers: those at pixels step / 2, step / 2 + 1 step, .. along both sides.
+std::vector<std::uint8_t> coveredSamples(const AcquisitionMesh& mesh, const Camera<AcquisitionSpace>& camera, int step,
+                                         int columns, int rows) {
+  struct Place {
+    float x, y;  // in samples; NaN where the camera does not see it
+  };
+  // The first sample at or after a place, 0 to the number of samples: most triangles of a fine hull lie between two
+  // columns or two rows, which their corners' samples tell at once.
+  struct Sample {
+    std::uint16_t x, y;
+  };
+  std::vector<Place> places(mesh.positions.size(), {NAN, NAN});
+  std::vector<Sample> samples(mesh.positions.size(), {0, 0});
+  const double origin = step / 2 + 0.5, scale = 1.0 / step;
+  const auto from = [](float x, int count) {
+    return static_cast<std::uint16_t>(std::ceil(std::clamp(x, 0.f, float(count))));
+  };
+  for (std::size_t v = 0; v < places.size(); ++v) {
+    const auto seen = camera.project(mesh.positions[v]);
+    if (!seen) continue;
+    const Place p{static_cast<float>((seen->pixel.x - origin) * scale),
+                  static_cast<float>((seen->pixel.y - origin) * scale)};
+    places[v] = p, samples[v] = {from(p.x, columns), from(p.y, rows)};
+  }
+  std::vector<std::uint8_t> covered(static_cast<std::size_t>(columns) * rows, 0);
+  for (const Triangle& t : mesh.triangles) {
+    const Sample i = samples[t[0]], j = samples[t[1]], k = samples[t[2]];
+    if (((i.x ^ j.x) | (i.x ^ k.x)) == 0 || ((i.y ^ j.y) | (i.y ^ k.y)) == 0) continue;
+    const Place a = places[t[0]], b = places[t[1]], c = places[t[2]];
+    const int right = std::max({i.x, j.x, k.x}), bottom = std::max({i.y, j.y, k.y});
+    for (int y = std::min({i.y, j.y, k.y}); y < bottom; ++y)
+      for (int x = std::min({i.x, j.x, k.x}); x < right; ++x) {
+        const auto side = [&](const Place& p, const Place& q) {
+          return (double(q.x) - p.x) * (y - double(p.y)) - (double(q.y) - p.y) * (x - double(p.x));
+        };
+        const double ab = side(a, b), bc = side(b, c), ca = side(c, a);
+        if ((ab >= 0 && bc >= 0 && ca >= 0) || (ab <= 0 && bc <= 0 && ca <= 0))
+          covered[static_cast<std::size_t>(y) * columns + x] = 1;
+      }
+  }
+  return covered;
 }
 
 // IoU and coverage from about `samples` pixels along a picture's longer side.
 std::vector<ViewConsistency> compare(const AcquisitionMesh& mesh, const std::vector<const SilhouetteView*>& views,
                                      int samples) {
   std::vector<ViewConsistency> result(views.size());
-  const auto scene = RayScene<AcquisitionSpace>::ofTriangles(mesh.positions, mesh.triangles);
-  parallelFor(views.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      const Image8& mask = views[i]->mask;
-      const int step = std::max(1, std::max(mask.width(), mask.height()) / samples);
-      std::size_t both = 0, either = 0, inside = 0;
-      std::vector<Ray<AcquisitionSpace>> rays;
-      std::vector<std::uint8_t> object;
-      std::vector<TriangleHit> hits;
-      for (int y = step / 2; y < mask.height(); y += step) {
-        rays.clear(), object.clear();
-        for (int x = step / 2; x < mask.width(); x += step)
-          if (const auto ray = views[i]->camera.ray({x + 0.5, y + 0.5})) {
-            rays.push_back(*ray);
-            object.push_back(mask.at(x, y) >= 128);
-          }
-        hits.resize(rays.size());
-        scene.intersect(rays, hits);
-        for (std::size_t k = 0; k < rays.size(); ++k) {
-          both += object[k] && hits[k].hit();
-          either += object[k] || hits[k].hit();
-          inside += object[k];
-        }
+  parallelFor(views.size(), 1, [&](std::size_t i, std::size_t) {
+    const Image8& mask = views[i]->mask;
+    const int step = std::max(1, std::max(mask.width(), mask.height()) / samples);
+    const int columns = (mask.width() - step / 2 + step - 1) / step,
+              rows = (mask.height() - step / 2 + step - 1) / step;
+    const auto covered = coveredSamples(mesh, views[i]->camera, step, columns, rows);
+    std::size_t both = 0, either = 0, inside = 0;
+    for (int y = 0; y < rows; ++y)
+      for (int x = 0; x < columns; ++x) {
+        const bool object = mask.at(step / 2 + x * step, step / 2 + y * step) >= 128;
+        const bool hit = covered[static_cast<std::size_t>(y) * columns + x];
+        both += object && hit;
+        either += object || hit;
+        inside += object;
       }
-      result[i].name = views[i]->name;
-      result[i].iou = either ? double(both) / double(either) : 0;
-      result[i].covered = inside ? double(both) / double(inside) : 0;
-    }
+    result[i].name = views[i]->name;
+    result[i].iou = either ? double(both) / double(either) : 0;
+    result[i].covered = inside ? double(both) / double(inside) : 0;
   });
   return result;
 }
@@ -231,18 +272,18 @@ std::vector<const SilhouetteView*> sources(const HullViews& views) {
 
 // A trial hull that a few wrong views could not carve, and how each view agrees with it.
 struct Trial {
-  AcquisitionMesh mesh;
+  int tolerance = 0;
+  Box3 box;  // tight about it
   std::vector<ViewConsistency> agreement;
 };
 Trial tryTolerantHull(const HullViews& views, int tolerance, const std::optional<Box3>& bounds) {
   const int most = std::min<int>(static_cast<int>(views.size()) / 4, kMostTolerance);
   Trial trial;
   for (int m = std::min(std::max(2, tolerance), most);; m = std::min(2 * m, most)) {
-    const Box3 tight = tightBounds(views, m, bounds);
-    if (!tight.empty()) {
-      const double cell = maxComponent(tight.max - tight.min) / kCoarseCells;
-      trial.mesh = carve(views, m, tight, cell, Reporter::silent());
-      trial.agreement = compare(trial.mesh, sources(views), kCoarseCells);
+    trial = {m, tightBounds(views, m, bounds), {}};
+    if (!trial.box.empty()) {
+      const auto mesh = carve(views, m, trial.box, longestSide(trial.box) / kCoarseCells, Reporter::silent());
+      trial.agreement = compare(mesh, sources(views), kCoarseCells);
       std::vector<double> covered;
       for (const auto& a : trial.agreement) covered.push_back(a.covered);
       if (median(covered) >= kCoveredByOthers) return trial;
@@ -328,9 +369,11 @@ VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullO
 
   VisualHull hull;
   std::vector<bool> excluded(views.size(), false);
+  std::optional<Box3> within;
   if (options.exclude_outliers && views.size() >= 4) {
     Reporter::Stage stage(reporter, "silhouette agreement", 1);
-    const auto agreement = tryTolerantHull(used, options.tolerance, options.bounds).agreement;
+    const Trial trial = tryTolerantHull(used, options.tolerance, options.bounds);
+    const auto& agreement = trial.agreement;
     if (!agreement.empty()) {
       excluded = outliers(agreement);
       used.clear();
@@ -343,23 +386,17 @@ VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullO
                       percent(agreement[i].iou) + " only (intersection over union); check its mask and camera");
         reporter.count("hull.views_left_out");
       }
+      // The more views may be overruled, the larger the hull: the trial holds that of the same views.
+      if (used.size() == views.size() && options.tolerance <= trial.tolerance) within = trial.box;
     }
     stage.advance();
   }
 
-  const Box3 tight = tightBounds(used, options.tolerance, options.bounds);
+  const Box3 tight =
+      within ? shrunk(used, options.tolerance, *within) : tightBounds(used, options.tolerance, options.bounds);
   if (tight.empty()) throw nothingLeft(used, options.bounds);
-  const double longest = maxComponent(tight.max - tight.min);
-  int cells = options.resolution;
-  if (cells == 0) {
-    std::vector<double> footprint;
-    for (const HullView* v : used)
-      if (const auto seen = v->view->camera.project(tight.center()); seen && seen->depth > 0)
-        footprint.push_back(v->view->camera.pixelFootprint(seen->depth));
-    const double wanted = footprint.empty() ? kLeastCells : longest / median(footprint);
-    cells = static_cast<int>(std::clamp<double>(std::ceil(wanted), kLeastCells, kMostCells));
-  }
-  hull.cell = longest / cells;
+  const int cells = options.resolution > 0 ? options.resolution : pixelsAcross(used, tight, kLeastCells, kMostCells);
+  hull.cell = longestSide(tight) / cells;
   hull.mesh = carve(used, options.tolerance, tight, hull.cell, reporter);
   if (hull.mesh.triangles.empty()) throw nothingLeft(used, options.bounds);
   dropDust(hull.mesh, reporter);

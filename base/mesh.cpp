@@ -157,23 +157,38 @@ double meshArea(const AcquisitionMesh& mesh) {
 
 AcquisitionMesh smoothed(const AcquisitionMesh& mesh, int steps) {
   constexpr double kShrink = 0.5, kGrow = -0.53;
+  constexpr std::size_t kGrain = 4096;
+  // The neighbours of each vertex, each once, in runs as the loops take them.
+  struct Run {
+    std::vector<std::uint32_t> neighbours, end;
+  };
+  const std::size_t count = mesh.positions.size();
+  std::vector<Run> runs((count + kGrain - 1) / kGrain);
   const VertexCorners corners(mesh);
+  parallelFor(count, kGrain, [&](std::size_t begin, std::size_t end) {
+    auto& [neighbours, ends] = runs[begin / kGrain];
+    for (std::size_t v = begin; v < end; ++v) {
+      const std::size_t first = neighbours.size();
+      for (const std::uint32_t corner : corners.at(v))
+        for (const std::uint32_t other : mesh.triangles[corner / 3])
+          if (other != v && std::find(neighbours.begin() + first, neighbours.end(), other) == neighbours.end())
+            neighbours.push_back(other);
+      ends.push_back(static_cast<std::uint32_t>(neighbours.size()));
+    }
+  });
   AcquisitionMesh result{mesh.positions, mesh.triangles, {}};
-  std::vector<Point<AcquisitionSpace>> from(mesh.positions.size());
+  std::vector<Point<AcquisitionSpace>> from(count);
   for (int half_step = 0; half_step < 2 * steps; ++half_step) {
     std::swap(from, result.positions);
     const double weight = half_step % 2 == 0 ? kShrink : kGrow;
-    parallelFor(from.size(), 4096, [&](std::size_t begin, std::size_t end) {
+    parallelFor(count, kGrain, [&](std::size_t begin, std::size_t end) {
+      const Run& run = runs[begin / kGrain];
+      std::uint32_t k = 0;
       for (std::size_t v = begin; v < end; ++v) {
-        const auto at_vertex = corners.at(v);
+        const std::uint32_t first = k, last = run.end[v - begin];
         Vector<AcquisitionSpace> sum;
-        for (const std::uint32_t corner : at_vertex) {
-          // Both neighbours in the triangle: on a closed fan each counts twice, at a border its ends count once.
-          const Triangle& t = mesh.triangles[corner / 3];
-          sum += (from[t[(corner + 1) % 3]] - from[v]) + (from[t[(corner + 2) % 3]] - from[v]);
-        }
-        result.positions[v] =
-            at_vertex.empty() ? from[v] : from[v] + weight / (2.0 * static_cast<double>(at_vertex.size())) * sum;
+        for (; k < last; ++k) sum += from[run.neighbours[k]] - from[v];
+        result.positions[v] = first == last ? from[v] : from[v] + weight / (last - first) * sum;
       }
     });
   }
