@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstring>
+#include <optional>
 
 #include "base/check.h"
 #include "base/error.h"
@@ -16,8 +16,15 @@ namespace {
 // The surface area of the boxes may grow by this factor under refitting before the tree is rebuilt: a rebuild costs
 // about as much as the slower traversal of such a tree.
 constexpr double kRefitDecay = 1.5;
+constexpr std::size_t kAreaSample = 1 << 14;  // primitives whose boxes tell the area
 // Splats whose plane is seen more edge-on than this (sine of the angle) have no usable intersection.
 constexpr float kEdgeOn = 1e-7f;
+constexpr std::size_t kPacket = 16;
+// A ray that is looked at again is probed with rays this far beside it, in radii of the scene: floats about the scene
+// are off by some 1e-7 of it.
+constexpr double kBeside = 4e-6;
+// Batches of fewer hits do not tell which way the surface faces.
+constexpr std::size_t kFewHits = 64;
 
 RTCDevice device() {
   static RTCDevice device = [] {
@@ -30,23 +37,39 @@ RTCDevice device() {
   return device;
 }
 
-double summedBoxArea(const std::vector<float>& xyz, const std::vector<Triangle>& triangles) {
-  double sum = 0;
-  for (const Triangle& t : triangles) {
-    double size[3];
-    for (int k = 0; k < 3; ++k) {
-      const float a = xyz[3 * t[0] + k], b = xyz[3 * t[1] + k], c = xyz[3 * t[2] + k];
-      size[k] = std::max({a, b, c}) - std::min({a, b, c});
-    }
-    sum += size[0] * size[1] + size[1] * size[2] + size[2] * size[0];
-  }
-  return sum;
+/// What the test of a ray against a splat needs, a cache line: x lies on the splat where n . x = n . center, and there
+/// a = dual_u . (x - center), b = dual_v . (x - center).
+struct Splat {
+  float center[3], half[3];  // half extents of the box of the ellipse a^2 + b^2 <= 1
+  float n[3];                // unit, or zero where the splat is never met
+  float dual_u[3], dual_v[3];
+  float longest;  // half axis
+};
+static_assert(sizeof(Splat) == 64);
+
+Splat prepared(const RawSplat& raw) {
+  const auto vec = [](const float* p) { return Vec3{p[0], p[1], p[2]}; };
+  const auto put = [](const Vec3& from, float* to) {
+    for (int k = 0; k < 3; ++k) to[k] = static_cast<float>(from[k]);
+  };
+  const Vec3 u = vec(raw.u), v = vec(raw.v), n = cross(u, v);
+  Splat splat{};
+  std::copy_n(raw.center, 3, splat.center);
+  put({std::hypot(u.x, v.x), std::hypot(u.y, v.y), std::hypot(u.z, v.z)}, splat.half);
+  const double nn = dot(n, n);
+  if (!(nn > 0) || !std::isfinite(nn)) return splat;
+  put(n / std::sqrt(nn), splat.n);
+  put(cross(v, n) / nn, splat.dual_u);
+  put(cross(n, u) / nn, splat.dual_v);
+  splat.longest = static_cast<float>(std::sqrt(std::max(dot(u, u), dot(v, v))));
+  return splat;
 }
 
-// What a gathering ray carries through the traversal.
+// What a gathering packet carries through the traversal.
 struct GatherContext {
   RTCIntersectContext embree;
-  std::vector<SplatHit>* hits = nullptr;
+  std::array<std::vector<SplatHit>, kPacket> hits;
+  float end[kPacket];  // of each ray's window
   float window = 0;
 };
 
@@ -64,71 +87,174 @@ class EmbreeScene {
   EmbreeScene& operator=(const EmbreeScene&) = delete;
 
   RTCScene scene() const { return scene_; }
+  double reach() const { return reach_; }
 
-  void setTriangles(std::span<const float> xyz, std::span<const Triangle> triangles) {
-    positions_.assign(xyz.begin(), xyz.end());
+  float* positions(std::size_t vertices) {
+    positions_.resize(3 * vertices + 4);  // Embree reads 16 bytes at the last vertex
+    return positions_.data();
+  }
+  void setTriangles(std::span<const Triangle> triangles) {
+    const std::size_t vertices = (positions_.size() - 4) / 3;
+    for (const Triangle& t : triangles)
+      for (const std::uint32_t corner : t) SRF_CHECK(corner < vertices);
     triangles_.assign(triangles.begin(), triangles.end());
-    positions_.resize(positions_.size() + 4, 0.f);  // Embree reads 16 bytes at the last vertex
     geometry_ = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_TRIANGLE);
     rtcSetSharedGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, positions_.data(), 0, 12,
-                               xyz.size() / 3);
+                               vertices);
     rtcSetSharedGeometryBuffer(geometry_, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, triangles_.data(), 0,
                                sizeof(Triangle), triangles_.size());
-    attach(RTC_BUILD_QUALITY_MEDIUM);
-    built_area_ = summedBoxArea(positions_, triangles_);
+    attach();
   }
-
-  void moveTriangles(std::span<const float> xyz) {
-    SRF_CHECK(xyz.size() + 4 == positions_.size());
-    std::copy(xyz.begin(), xyz.end(), positions_.begin());
+  void moveTriangles() {
     rtcUpdateGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
-    const double area = summedBoxArea(positions_, triangles_);
-    const bool rebuild = !(area < kRefitDecay * built_area_);
-    rtcSetGeometryBuildQuality(geometry_, rebuild ? RTC_BUILD_QUALITY_LOW : RTC_BUILD_QUALITY_REFIT);
-    rtcCommitGeometry(geometry_);
-    rtcCommitScene(scene_);
-    if (rebuild) built_area_ = area;
+    refit();
   }
 
-  void setSplats(std::span<const RawSplat> splats, float cutoff) {
-    splats_.assign(splats.begin(), splats.end());
+  RawSplat* splats(std::size_t count) {
+    raw_splats_.resize(count);
+    return raw_splats_.data();
+  }
+  void setSplats(float cutoff) {
     cutoff_ = cutoff;
+    prepareSplats();
     geometry_ = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_USER);
     rtcSetGeometryUserPrimitiveCount(geometry_, static_cast<unsigned>(splats_.size()));
     rtcSetGeometryUserData(geometry_, this);
     rtcSetGeometryBoundsFunction(geometry_, splatBounds, nullptr);
     rtcSetGeometryIntersectFunction(geometry_, intersectSplat);
     rtcSetGeometryOccludedFunction(geometry_, occludedSplat);
-    attach(RTC_BUILD_QUALITY_MEDIUM);
+    attach();
+  }
+  void moveSplats() {
+    if (splats_.size() != raw_splats_.size())
+      rtcSetGeometryUserPrimitiveCount(geometry_, static_cast<unsigned>(raw_splats_.size()));
+    const bool same_number = splats_.size() == raw_splats_.size();
+    prepareSplats();
+    refit(same_number);
   }
 
-  void moveSplats(std::span<const RawSplat> splats) {
-    SRF_CHECK(splats.size() == splats_.size());
-    std::copy(splats.begin(), splats.end(), splats_.begin());
-    rtcSetGeometryBuildQuality(geometry_, RTC_BUILD_QUALITY_LOW);
-    rtcCommitGeometry(geometry_);
-    rtcCommitScene(scene_);
+  /// Whether the ray comes near what there is.
+  bool meetsBox(const RawRay& ray) const {
+    double near_t = ray.near_distance, far_t = ray.far_distance;
+    const double pad = kBeside * reach_;
+    for (int k = 0; k < 3; ++k) {
+      const double o = ray.origin[k], d = ray.direction[k], low = box_low_[k] - pad, high = box_high_[k] + pad;
+      if (std::fabs(d) < 1e-30) {
+        if (!(o >= low && o <= high)) return false;
+        continue;
+      }
+      const double a = (low - o) / d, b = (high - o) / d;
+      near_t = std::max(near_t, std::min(a, b));
+      far_t = std::min(far_t, std::max(a, b));
+    }
+    return near_t <= far_t;
+  }
+
+  struct Crossing {
+    double distance, b1, b2;
+    double outside;  ///< how far beside the triangle the ray runs, units; 0: through it
+  };
+  /// The ray against one triangle in double, edge functions in the plane across the ray (Woop, Benthin, Wald 2013):
+  /// they are differences of the corners' own coordinates there, so that neighbours agree on corners and edges.
+  std::optional<Crossing> cross(const RawRay& ray, std::uint32_t triangle) const {
+    int kz = 0;
+    for (int k = 1; k < 3; ++k)
+      if (std::fabs(ray.direction[k]) > std::fabs(ray.direction[kz])) kz = k;
+    const int kx = (kz + 1) % 3, ky = (kz + 2) % 3;
+    const double sz = 1 / ray.direction[kz], sx = ray.direction[kx] * sz, sy = ray.direction[ky] * sz;
+    double x[3], y[3], z[3];
+    for (int c = 0; c < 3; ++c) {
+      const float* p = &positions_[3 * std::size_t{triangles_[triangle][c]}];
+      const Vec3 q = Vec3{p[0], p[1], p[2]} - ray.origin;
+      x[c] = q[kx] - sx * q[kz], y[c] = q[ky] - sy * q[kz], z[c] = sz * q[kz];
+    }
+    double weight[3], sum = 0, distance = 0;
+    for (int c = 0; c < 3; ++c) {
+      const int a = (c + 1) % 3, b = (c + 2) % 3;
+      weight[c] = differenceOfProducts(x[b], y[a], y[b], x[a]);
+      sum += weight[c];
+    }
+    if (sum == 0) return std::nullopt;
+    Crossing crossing{0, 0, 0, 0};
+    for (int c = 0; c < 3; ++c) {
+      const int a = (c + 1) % 3, b = (c + 2) % 3;
+      const double edge = std::hypot(x[b] - x[a], y[b] - y[a]);
+      crossing.outside = std::max(crossing.outside, -std::copysign(1.0, sum) * weight[c] / edge);
+      weight[c] = std::max(0.0, weight[c] / sum);
+    }
+    sum = weight[0] + weight[1] + weight[2];  // clamped to the triangle, where the ray runs beside it
+    for (int c = 0; c < 3; ++c) distance += weight[c] / sum * z[c];
+    if (!(distance >= ray.near_distance && distance <= ray.far_distance)) return std::nullopt;
+    crossing.distance = distance, crossing.b1 = weight[1] / sum, crossing.b2 = weight[2] / sum;
+    return crossing;
   }
 
  private:
-  void attach(RTCBuildQuality quality) {
-    rtcSetGeometryBuildQuality(geometry_, quality);
+  void attach() {
+    rtcSetGeometryBuildQuality(geometry_, RTC_BUILD_QUALITY_MEDIUM);
     rtcSetGeometryMask(geometry_, 0xffffffffu);
     rtcCommitGeometry(geometry_);
     rtcAttachGeometry(scene_, geometry_);
     rtcReleaseGeometry(geometry_);  // the scene holds it from here on
+    commit();
+    built_area_ = summedBoxArea();
+  }
+  void refit(bool same_number = true) {
+    const double area = summedBoxArea();
+    const bool rebuild = !same_number || !(area < kRefitDecay * built_area_);
+    rtcSetGeometryBuildQuality(geometry_, rebuild ? RTC_BUILD_QUALITY_LOW : RTC_BUILD_QUALITY_REFIT);
+    rtcCommitGeometry(geometry_);
+    commit();
+    if (rebuild) built_area_ = area;
+  }
+  void commit() {
     rtcCommitScene(scene_);
+    RTCBounds bounds;
+    rtcGetSceneBounds(scene_, &bounds);
+    box_low_ = {bounds.lower_x, bounds.lower_y, bounds.lower_z};
+    box_high_ = {bounds.upper_x, bounds.upper_y, bounds.upper_z};
+    const bool empty = !(box_low_.x <= box_high_.x && box_low_.y <= box_high_.y && box_low_.z <= box_high_.z);
+    if (empty) box_low_ = box_high_ = {};
+    reach_ = 0;
+    for (int corner = 0; corner < 8; ++corner)
+      reach_ = std::max(reach_, length({(corner & 1 ? box_low_ : box_high_).x, (corner & 2 ? box_low_ : box_high_).y,
+                                        (corner & 4 ? box_low_ : box_high_).z}));
+  }
+  // Of a sample of the boxes, in a fixed order.
+  double summedBoxArea() const {
+    double sum = 0;
+    const auto add = [&sum](const double size[3]) { sum += size[0] * size[1] + size[1] * size[2] + size[2] * size[0]; };
+    double size[3];
+    for (std::size_t i = 0; i < triangles_.size(); i += triangles_.size() / kAreaSample + 1) {
+      for (int k = 0; k < 3; ++k) {
+        const Triangle& t = triangles_[i];
+        const float a = positions_[3 * std::size_t{t[0]} + k], b = positions_[3 * std::size_t{t[1]} + k],
+                    c = positions_[3 * std::size_t{t[2]} + k];
+        size[k] = std::max({a, b, c}) - std::min({a, b, c});
+      }
+      add(size);
+    }
+    for (std::size_t i = 0; i < splats_.size(); i += splats_.size() / kAreaSample + 1) {
+      for (int k = 0; k < 3; ++k) size[k] = splats_[i].half[k];
+      add(size);
+    }
+    return sum;
   }
 
+  void prepareSplats() {
+    splats_.resize(raw_splats_.size());
+    parallelFor(splats_.size(), 1 << 13, [this](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) splats_[i] = prepared(raw_splats_[i]);
+    });
+  }
   static void splatBounds(const RTCBoundsFunctionArguments* args) {
     const auto& self = *static_cast<const EmbreeScene*>(args->geometryUserPtr);
-    const RawSplat& s = self.splats_[args->primID];
+    const Splat& s = self.splats_[args->primID];
     float low[3], high[3];
     bool finite = true;
     for (int k = 0; k < 3; ++k) {
-      // Half extent of the ellipse, padded by the rounding of the centre.
-      const float half = self.cutoff_ * std::sqrt(s.u[k] * s.u[k] + s.v[k] * s.v[k]);
-      const float pad = 4e-7f * (std::fabs(s.center[k]) + half);
+      const float half = self.cutoff_ * s.half[k];
+      const float pad = 4e-7f * (std::fabs(s.center[k]) + half);  // for the rounding of the centre
       low[k] = s.center[k] - half - pad;
       high[k] = s.center[k] + half + pad;
       finite &= std::isfinite(low[k]) && std::isfinite(high[k]);
@@ -138,163 +264,259 @@ class EmbreeScene {
     *args->bounds_o = {low[0], low[1], low[2], 0, high[0], high[1], high[2], 0};
   }
 
-  // Ray-plane hit in the splat's own coordinates (theory of ray-cast surfels: perspective-exact without a projection).
-  bool meet(std::uint32_t index, const float o[3], const float d[3], float near_t, float far_t, SplatHit& hit) const {
-    const RawSplat& s = splats_[index];
-    const float n[3] = {s.u[1] * s.v[2] - s.u[2] * s.v[1], s.u[2] * s.v[0] - s.u[0] * s.v[2],
-                        s.u[0] * s.v[1] - s.u[1] * s.v[0]};
-    const float nn = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
-    const float denom = n[0] * d[0] + n[1] * d[1] + n[2] * d[2];
-    const float dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-    if (!(denom * denom > kEdgeOn * kEdgeOn * nn * dd)) return false;
-    const float to[3] = {s.center[0] - o[0], s.center[1] - o[1], s.center[2] - o[2]};
-    const float t = (n[0] * to[0] + n[1] * to[1] + n[2] * to[2]) / denom;
-    if (!(t >= near_t && t <= far_t)) return false;
-    const float x[3] = {t * d[0] - to[0], t * d[1] - to[1], t * d[2] - to[2]};
-    // a = ((x cross v) . n) / n.n, b = ((u cross x) . n) / n.n
-    const float a = ((x[1] * s.v[2] - x[2] * s.v[1]) * n[0] + (x[2] * s.v[0] - x[0] * s.v[2]) * n[1] +
-                     (x[0] * s.v[1] - x[1] * s.v[0]) * n[2]) /
-                    nn;
-    const float b = ((s.u[1] * x[2] - s.u[2] * x[1]) * n[0] + (s.u[2] * x[0] - s.u[0] * x[2]) * n[1] +
-                     (s.u[0] * x[1] - s.u[1] * x[0]) * n[2]) /
-                    nn;
-    if (!(a * a + b * b <= cutoff_ * cutoff_)) return false;
-    hit = {index, a, b, t};
-    return true;
+  // One splat against the rays of a packet: hits in the splat's own coordinates (perspective-exact without a
+  // projection). Returns by hit[i] where ray i meets it. Plain loops over the packet, which compilers make wide.
+  void meet(std::uint32_t index, RTCRayN* ray, unsigned count, float* t, float* a, float* b, int* hit) const {
+    const Splat s = splats_[index];
+    const float *ox = &RTCRayN_org_x(ray, count, 0), *oy = &RTCRayN_org_y(ray, count, 0),
+                *oz = &RTCRayN_org_z(ray, count, 0), *dx = &RTCRayN_dir_x(ray, count, 0),
+                *dy = &RTCRayN_dir_y(ray, count, 0), *dz = &RTCRayN_dir_z(ray, count, 0),
+                *near_t = &RTCRayN_tnear(ray, count, 0), *far_t = &RTCRayN_tfar(ray, count, 0);
+    const float most = cutoff_ * cutoff_;
+    for (unsigned i = 0; i < count; ++i) {
+      const float denom = s.n[0] * dx[i] + s.n[1] * dy[i] + s.n[2] * dz[i];
+      const float tx = s.center[0] - ox[i], ty = s.center[1] - oy[i], tz = s.center[2] - oz[i];
+      t[i] = (s.n[0] * tx + s.n[1] * ty + s.n[2] * tz) / denom;
+      const float x = t[i] * dx[i] - tx, y = t[i] * dy[i] - ty, z = t[i] * dz[i] - tz;
+      a[i] = s.dual_u[0] * x + s.dual_u[1] * y + s.dual_u[2] * z;
+      b[i] = s.dual_v[0] * x + s.dual_v[1] * y + s.dual_v[2] * z;
+      hit[i] =
+          (std::fabs(denom) > kEdgeOn) & (t[i] >= near_t[i]) & (t[i] <= far_t[i]) & (a[i] * a[i] + b[i] * b[i] <= most);
+    }
   }
 
-  // Records every splat near the front and pulls the ray's far end to the nearest one plus the window, without
-  // reporting a hit: traversal then visits exactly the splats that may still be blended.
+  // Records every splat near the front and pulls the ray's far end to the end of the window, without reporting a hit:
+  // traversal then visits exactly the splats that may still be blended.
   static void intersectSplat(const RTCIntersectFunctionNArguments* args) {
-    if (!args->valid[0]) return;
-    SRF_DCHECK(args->N == 1);
     const auto& self = *static_cast<const EmbreeScene*>(args->geometryUserPtr);
     auto& context = *reinterpret_cast<GatherContext*>(args->context);
-    RTCRayHitN* rayhit = args->rayhit;
-    RTCRayN* ray = RTCRayHitN_RayN(rayhit, 1);
-    const float o[3] = {RTCRayN_org_x(ray, 1, 0), RTCRayN_org_y(ray, 1, 0), RTCRayN_org_z(ray, 1, 0)};
-    const float d[3] = {RTCRayN_dir_x(ray, 1, 0), RTCRayN_dir_y(ray, 1, 0), RTCRayN_dir_z(ray, 1, 0)};
-    SplatHit hit;
-    if (!self.meet(args->primID, o, d, RTCRayN_tnear(ray, 1, 0), RTCRayN_tfar(ray, 1, 0), hit)) return;
-    context.hits->push_back(hit);
-    RTCRayN_tfar(ray, 1, 0) = std::min(RTCRayN_tfar(ray, 1, 0), hit.distance + context.window);
+    const unsigned count = args->N;
+    SRF_DCHECK(count <= kPacket);
+    RTCRayN* ray = RTCRayHitN_RayN(args->rayhit, count);
+    alignas(64) float t[kPacket], a[kPacket], b[kPacket];
+    alignas(64) int hit[kPacket];
+    self.meet(args->primID, ray, count, t, a, b, hit);
+    const float behind = context.window * self.splats_[args->primID].longest;
+    for (unsigned i = 0; i < count; ++i) {
+      if (!hit[i] || !args->valid[i]) continue;
+      const unsigned lane = RTCRayN_id(ray, count, i);
+      context.hits[lane].push_back({args->primID, a[i], b[i], t[i]});
+      context.end[lane] = std::min(context.end[lane], t[i] + behind);
+      RTCRayN_tfar(ray, count, i) = std::min(RTCRayN_tfar(ray, count, i), t[i] + behind);
+    }
   }
 
   static void occludedSplat(const RTCOccludedFunctionNArguments* args) {
     const auto& self = *static_cast<const EmbreeScene*>(args->geometryUserPtr);
-    for (unsigned i = 0; i < args->N; ++i) {
-      if (!args->valid[i]) continue;
-      RTCRayN* ray = args->ray;
-      const unsigned n = args->N;
-      const float o[3] = {RTCRayN_org_x(ray, n, i), RTCRayN_org_y(ray, n, i), RTCRayN_org_z(ray, n, i)};
-      const float d[3] = {RTCRayN_dir_x(ray, n, i), RTCRayN_dir_y(ray, n, i), RTCRayN_dir_z(ray, n, i)};
-      SplatHit hit;
-      if (self.meet(args->primID, o, d, RTCRayN_tnear(ray, n, i), RTCRayN_tfar(ray, n, i), hit))
-        RTCRayN_tfar(ray, n, i) = -INFINITY;
-    }
+    alignas(64) float t[kPacket], a[kPacket], b[kPacket];
+    alignas(64) int hit[kPacket];
+    self.meet(args->primID, args->ray, args->N, t, a, b, hit);
+    for (unsigned i = 0; i < args->N; ++i)
+      if (hit[i] && args->valid[i]) RTCRayN_tfar(args->ray, args->N, i) = -INFINITY;
   }
 
   RTCScene scene_ = nullptr;
   RTCGeometry geometry_ = nullptr;
   std::vector<float> positions_;
   std::vector<Triangle> triangles_;
-  std::vector<RawSplat> splats_;
+  std::vector<RawSplat> raw_splats_;
+  std::vector<Splat> splats_;
   float cutoff_ = 1;
   double built_area_ = 0;
+  Vec3 box_low_, box_high_;
+  double reach_ = 0;  ///< of the box from the centre
 };
 
-RayBackend::RayBackend() = default;
+RayBackend::RayBackend() : scene_(std::make_unique<EmbreeScene>()) {}
 RayBackend::~RayBackend() = default;
 RayBackend::RayBackend(RayBackend&&) noexcept = default;
 RayBackend& RayBackend::operator=(RayBackend&&) noexcept = default;
 
-void RayBackend::setTriangles(std::span<const float> positions_xyz, std::span<const Triangle> triangles) {
-  for (const Triangle& t : triangles)
-    for (const std::uint32_t corner : t) SRF_CHECK(corner < positions_xyz.size() / 3);
-  scene_ = std::make_unique<EmbreeScene>();
-  scene_->setTriangles(positions_xyz, triangles);
+float* RayBackend::positions(std::size_t vertices) {
+  return scene_->positions(vertices);
 }
-void RayBackend::moveTriangles(std::span<const float> positions_xyz) {
-  scene_->moveTriangles(positions_xyz);
+void RayBackend::setTriangles(std::span<const Triangle> triangles) {
+  scene_->setTriangles(triangles);
 }
-void RayBackend::setSplats(std::span<const RawSplat> splats, float cutoff) {
-  scene_ = std::make_unique<EmbreeScene>();
-  scene_->setSplats(splats, cutoff);
+void RayBackend::moveTriangles() {
+  scene_->moveTriangles();
 }
-void RayBackend::moveSplats(std::span<const RawSplat> splats) {
-  scene_->moveSplats(splats);
+RawSplat* RayBackend::splats(std::size_t count) {
+  return scene_->splats(count);
+}
+void RayBackend::setSplats(float cutoff) {
+  scene_->setSplats(cutoff);
+}
+void RayBackend::moveSplats() {
+  scene_->moveSplats();
 }
 
 namespace {
-constexpr std::size_t kPacket = 16;
 
-// Fills a packet from up to 16 rays; the rest is marked invalid.
-void loadPacket(std::span<const RawRay> rays, RTCRay16& packet, int* valid) {
-  for (std::size_t i = 0; i < kPacket; ++i) {
-    const RawRay& r = rays[std::min(i, rays.size() - 1)];
-    valid[i] = i < rays.size() ? -1 : 0;
-    packet.org_x[i] = r.origin[0], packet.org_y[i] = r.origin[1], packet.org_z[i] = r.origin[2];
-    packet.dir_x[i] = r.direction[0], packet.dir_y[i] = r.direction[1], packet.dir_z[i] = r.direction[2];
-    packet.tnear[i] = r.near_distance, packet.tfar[i] = r.far_distance;
-    packet.time[i] = 0, packet.mask[i] = 0xffffffffu, packet.id[i] = 0, packet.flags[i] = 0;
+/// Up to 16 rays as Embree takes them. Each starts close to the scene, however far away its origin lies: the floats
+/// then are off by parts of the scene.
+struct Packet {
+  alignas(64) RTCRayHit16 rays;
+  alignas(64) int valid[kPacket];
+  double start[kPacket];
+
+  Packet(std::span<const RawRay> from, double reach) {
+    for (std::size_t i = 0; i < kPacket; ++i) {
+      const RawRay& r = from[std::min(i, from.size() - 1)];
+      valid[i] = i < from.size() ? -1 : 0;
+      start[i] = std::max(0.0, -dot(r.origin, r.direction) - 1.01 * reach);
+      const Vec3 o = r.origin + start[i] * r.direction;
+      RTCRay16& ray = rays.ray;
+      ray.org_x[i] = static_cast<float>(o.x), ray.org_y[i] = static_cast<float>(o.y);
+      ray.org_z[i] = static_cast<float>(o.z);
+      ray.dir_x[i] = static_cast<float>(r.direction.x), ray.dir_y[i] = static_cast<float>(r.direction.y);
+      ray.dir_z[i] = static_cast<float>(r.direction.z);
+      ray.tnear[i] = static_cast<float>(std::max(0.0, r.near_distance - start[i]));
+      ray.tfar[i] = static_cast<float>(r.far_distance - start[i]);
+      ray.time[i] = 0, ray.mask[i] = 0xffffffffu, ray.id[i] = static_cast<unsigned>(i), ray.flags[i] = 0;
+      rays.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+    }
+  }
+};
+
+/// Traces up to 16 rays; bit i of the result: the triangle of ray i is seen from behind.
+unsigned tracePacket(const EmbreeScene& scene, std::span<const RawRay> rays, TriangleHit* hits) {
+  Packet packet(rays, scene.reach());
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+  rtcIntersect16(packet.valid, scene.scene(), &context, &packet.rays);
+  const RTCRay16& ray = packet.rays.ray;
+  const RTCHit16& hit = packet.rays.hit;
+  unsigned behind = 0;
+  for (std::size_t i = 0; i < rays.size(); ++i) {
+    hits[i] = {};
+    if (hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) continue;
+    hits[i] = {hit.primID[i], hit.u[i], hit.v[i], static_cast<float>(packet.start[i] + ray.tfar[i])};
+    const float facing = hit.Ng_x[i] * ray.dir_x[i] + hit.Ng_y[i] * ray.dir_y[i] + hit.Ng_z[i] * ray.dir_z[i];
+    behind |= unsigned{facing > 0} << i;
+  }
+  return behind;
+}
+
+/// The ray `part` of the way around it on a circle of radius kBeside.
+RawRay beside(const RawRay& ray, double reach, int part, int parts) {
+  const Vec3& d = ray.direction;
+  const Vec3 across = cross(d, std::fabs(d.x) < 0.5 ? Vec3{1, 0, 0} : Vec3{0, 1, 0});
+  const Vec3 e = across / length(across), f = cross(d, e);
+  const double angle = 6.283185307179586 * (part + 0.25) / parts;
+  RawRay moved = ray;
+  moved.origin += (kBeside * reach * std::cos(angle)) * e + (kBeside * reach * std::sin(angle)) * f;
+  return moved;
+}
+
+// Embree decides by the signs of three edge functions, each rounded for itself. At a vertex the signs of all edges may
+// come out so that the ray passes outside every triangle of the fan: some 0.2 % of the rays aimed at one do. A ray that
+// has slipped through a closed part either meets nothing more or meets the part from its other side, so those rays are
+// looked at again: with rays close beside it, and where these meet something nearer, in double.
+void lookAgain(const EmbreeScene& scene, std::span<const RawRay> rays, std::span<const std::uint32_t> doubtful,
+               std::span<TriangleHit> hits) {
+  constexpr std::size_t kProbes = 4, kGroup = kPacket / kProbes;
+  const auto nearer = [](const TriangleHit& probe, const TriangleHit& hit) {
+    return probe.hit() && probe.triangle != hit.triangle && !(hit.hit() && probe.distance >= hit.distance);
+  };
+  RawRay moved[kPacket];
+  TriangleHit probes[kPacket], ring[kPacket];
+  for (std::size_t begin = 0; begin < doubtful.size(); begin += kGroup) {
+    const std::size_t count = std::min(kGroup, doubtful.size() - begin);
+    for (std::size_t i = 0; i < count * kProbes; ++i)
+      moved[i] = beside(rays[doubtful[begin + i / kProbes]], scene.reach(), i % kProbes, kProbes);
+    tracePacket(scene, {moved, count * kProbes}, probes);
+    for (std::size_t i = 0; i < count; ++i) {
+      const RawRay& ray = rays[doubtful[begin + i]];
+      TriangleHit& hit = hits[doubtful[begin + i]];
+      if (std::none_of(probes + i * kProbes, probes + (i + 1) * kProbes,
+                       [&](const TriangleHit& probe) { return nearer(probe, hit); }))
+        continue;
+      for (std::size_t k = 0; k < kPacket; ++k) moved[k] = beside(ray, scene.reach(), static_cast<int>(k), kPacket);
+      tracePacket(scene, moved, ring);
+      // Surrounded on all sides by something nearer, it cannot but meet it: then the triangle it comes closest to.
+      const bool surrounded = std::all_of(ring, ring + kPacket, [&](const auto& probe) { return nearer(probe, hit); });
+      std::optional<EmbreeScene::Crossing> best;
+      std::uint32_t triangle = kNoHit;
+      for (const TriangleHit& probe : ring) {
+        if (!nearer(probe, hit)) continue;
+        const auto crossing = scene.cross(ray, probe.triangle);
+        if (!crossing || (crossing->outside > 0 && !surrounded)) continue;
+        const bool better = !best || crossing->outside < best->outside ||
+                            (crossing->outside == best->outside && crossing->distance < best->distance);
+        if (better) best = crossing, triangle = probe.triangle;
+      }
+      if (best)
+        hit = {triangle, static_cast<float>(best->b1), static_cast<float>(best->b2),
+               static_cast<float>(best->distance)};
+    }
   }
 }
+
 }  // namespace
 
 void RayBackend::intersect(std::span<const RawRay> rays, std::span<TriangleHit> hits) const {
   SRF_CHECK(rays.size() == hits.size());
+  std::vector<std::uint32_t> doubtful, front, back;
   for (std::size_t begin = 0; begin < rays.size(); begin += kPacket) {
     const std::size_t count = std::min(kPacket, rays.size() - begin);
-    alignas(64) RTCRayHit16 packet;
-    alignas(64) int valid[kPacket];
-    loadPacket(rays.subspan(begin, count), packet.ray, valid);
-    std::fill(std::begin(packet.hit.geomID), std::end(packet.hit.geomID), RTC_INVALID_GEOMETRY_ID);
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
-    context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
-    rtcIntersect16(valid, scene_->scene(), &context, &packet);
-    for (std::size_t i = 0; i < count; ++i) {
-      TriangleHit& hit = hits[begin + i];
-      hit = {};
-      if (packet.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) continue;
-      hit = {packet.hit.primID[i], packet.hit.u[i], packet.hit.v[i], packet.ray.tfar[i]};
+    const unsigned behind = tracePacket(*scene_, rays.subspan(begin, count), &hits[begin]);
+    for (std::size_t i = begin; i < begin + count; ++i) {
+      if (!hits[i].hit()) {
+        if (scene_->meetsBox(rays[i])) doubtful.push_back(static_cast<std::uint32_t>(i));
+      } else {
+        (behind >> (i - begin) & 1 ? back : front).push_back(static_cast<std::uint32_t>(i));
+      }
     }
   }
+  // Rays of one batch mostly start outside, or mostly inside; and a mirror turns every triangle. So it is the rarer
+  // side that is doubtful.
+  const bool few = hits.size() < kFewHits;
+  for (const auto* side : {&front, &back})
+    if (few || side->size() < (side == &front ? back : front).size())
+      doubtful.insert(doubtful.end(), side->begin(), side->end());
+  lookAgain(*scene_, rays, doubtful, hits);
 }
 
 void RayBackend::occluded(std::span<const RawRay> rays, std::span<std::uint8_t> blocked) const {
   SRF_CHECK(rays.size() == blocked.size());
   for (std::size_t begin = 0; begin < rays.size(); begin += kPacket) {
     const std::size_t count = std::min(kPacket, rays.size() - begin);
-    alignas(64) RTCRay16 packet;
-    alignas(64) int valid[kPacket];
-    loadPacket(rays.subspan(begin, count), packet, valid);
+    Packet packet(rays.subspan(begin, count), scene_->reach());
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
-    rtcOccluded16(valid, scene_->scene(), &context, &packet);
-    for (std::size_t i = 0; i < count; ++i) blocked[begin + i] = packet.tfar[i] < 0;
+    rtcOccluded16(packet.valid, scene_->scene(), &context, &packet.rays.ray);
+    for (std::size_t i = 0; i < count; ++i) blocked[begin + i] = packet.rays.ray.tfar[i] == -INFINITY;
   }
 }
 
-void RayBackend::gatherSplats(const RawRay& ray, float depth_window, std::vector<SplatHit>& hits) const {
-  hits.clear();
+void RayBackend::gatherSplats(std::span<const RawRay> rays, float depth_window, SplatLists& lists) const {
+  lists.hits.clear();
+  lists.first.assign(1, 0);
   GatherContext context;
   rtcInitIntersectContext(&context.embree);
-  context.hits = &hits;
+  context.embree.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
   context.window = depth_window;
-  RTCRayHit query{};
-  std::memcpy(&query.ray.org_x, ray.origin, sizeof ray.origin);
-  std::memcpy(&query.ray.dir_x, ray.direction, sizeof ray.direction);
-  query.ray.tnear = ray.near_distance;
-  query.ray.tfar = ray.far_distance;
-  query.ray.mask = 0xffffffffu;
-  query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-  query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-  rtcIntersect1(scene_->scene(), &context.embree, &query);
-  std::sort(hits.begin(), hits.end(), [](const SplatHit& x, const SplatHit& y) {
-    return x.distance != y.distance ? x.distance < y.distance : x.splat < y.splat;
-  });
-  while (!hits.empty() && hits.back().distance > hits.front().distance + depth_window) hits.pop_back();
+  for (std::size_t begin = 0; begin < rays.size(); begin += kPacket) {
+    const std::size_t count = std::min(kPacket, rays.size() - begin);
+    Packet packet(rays.subspan(begin, count), scene_->reach());
+    std::fill(std::begin(context.end), std::end(context.end), INFINITY);
+    for (auto& lane : context.hits) lane.clear();
+    rtcIntersect16(packet.valid, scene_->scene(), &context.embree, &packet.rays);
+    for (std::size_t i = 0; i < count; ++i) {
+      std::vector<SplatHit>& met = context.hits[i];
+      std::erase_if(met, [end = context.end[i]](const SplatHit& hit) { return hit.distance > end; });
+      std::sort(met.begin(), met.end(), [](const SplatHit& x, const SplatHit& y) {
+        return x.distance != y.distance ? x.distance < y.distance : x.splat < y.splat;
+      });
+      for (SplatHit& hit : met) {
+        hit.distance = static_cast<float>(packet.start[i] + hit.distance);
+        lists.hits.push_back(hit);
+      }
+      lists.first.push_back(static_cast<std::uint32_t>(lists.hits.size()));
+    }
+  }
 }
 
 }  // namespace srf::detail

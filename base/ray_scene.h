@@ -11,6 +11,7 @@
 
 #include "base/camera.h"
 #include "base/mesh.h"
+#include "base/parallel.h"
 #include "base/space.h"
 
 namespace srf {
@@ -32,12 +33,21 @@ struct SplatHit {
   float distance = 0;
 };
 
+/// The splats that each of many rays met, nearest first (ties: lowest index first).
+struct SplatLists {
+  std::vector<SplatHit> hits;
+  std::vector<std::uint32_t> first;  ///< of each ray, and behind the last one the end
+  std::span<const SplatHit> of(std::size_t ray) const {
+    return std::span(hits).subspan(first[ray], first[ray + 1] - first[ray]);
+  }
+};
+
 namespace detail {
 class EmbreeScene;
+/// About the scene's centre, in double: what is traced in float is the part of the ray near the scene.
 struct RawRay {
-  float origin[3];
-  float direction[3];
-  float near_distance, far_distance;
+  Vec3 origin, direction;
+  double near_distance, far_distance;
 };
 struct RawSplat {
   float center[3], u[3], v[3];
@@ -48,13 +58,16 @@ class RayBackend {
   ~RayBackend();
   RayBackend(RayBackend&&) noexcept;
   RayBackend& operator=(RayBackend&&) noexcept;
-  void setTriangles(std::span<const float> positions_xyz, std::span<const Triangle> triangles);
-  void moveTriangles(std::span<const float> positions_xyz);
-  void setSplats(std::span<const RawSplat> splats, float cutoff);
-  void moveSplats(std::span<const RawSplat> splats);
+  /// Room for the vertices, x y z each; setTriangles or moveTriangles takes them from there.
+  float* positions(std::size_t vertices);
+  void setTriangles(std::span<const Triangle> triangles);
+  void moveTriangles();
+  RawSplat* splats(std::size_t count);
+  void setSplats(float cutoff);
+  void moveSplats();
   void intersect(std::span<const RawRay> rays, std::span<TriangleHit> hits) const;
   void occluded(std::span<const RawRay> rays, std::span<std::uint8_t> blocked) const;
-  void gatherSplats(const RawRay& ray, float depth_window, std::vector<SplatHit>& hits) const;
+  void gatherSplats(std::span<const RawRay> rays, float depth_window, SplatLists& lists) const;
 
  private:
   std::unique_ptr<EmbreeScene> scene_;
@@ -65,34 +78,35 @@ class RayBackend {
 template <class Space>
 class RayScene {
  public:
-  /// Copies the triangles; watertight (Embree's robust mode). Vertices that are not finite make their triangles
-  /// invisible.
+  /// Copies the triangles. Vertices that are not finite make their triangles invisible.
   static RayScene ofTriangles(std::span<const Point<Space>> positions, std::span<const Triangle> triangles) {
     RayScene scene;
-    scene.setCenter(positions);
-    scene.backend_.setTriangles(scene.localPositions(positions), triangles);
+    scene.putPositions(positions);
+    scene.backend_.setTriangles(triangles);
     return scene;
   }
   /// Elliptical splats {center + a u + b v : a^2 + b^2 <= cutoff^2}; `tangents_u`, `tangents_v` need not be orthogonal.
   static RayScene ofSplats(std::span<const Point<Space>> centers, std::span<const Vector<Space>> tangents_u,
                            std::span<const Vector<Space>> tangents_v, double cutoff) {
     RayScene scene;
-    scene.setCenter(centers);
-    scene.backend_.setSplats(scene.localSplats(centers, tangents_u, tangents_v), static_cast<float>(cutoff));
+    scene.putSplats(centers, tangents_u, tangents_v);
+    scene.backend_.setSplats(static_cast<float>(cutoff));
     return scene;
   }
   /// New positions for the same triangles: the acceleration structure is refitted, or rebuilt when it has decayed.
   void moveTriangles(std::span<const Point<Space>> positions) {
-    setCenter(positions);
-    backend_.moveTriangles(localPositions(positions));
+    putPositions(positions);
+    backend_.moveTriangles();
   }
+  /// New places for the same number of splats, likewise.
   void moveSplats(std::span<const Point<Space>> centers, std::span<const Vector<Space>> tangents_u,
                   std::span<const Vector<Space>> tangents_v) {
-    setCenter(centers);
-    backend_.moveSplats(localSplats(centers, tangents_u, tangents_v));
+    putSplats(centers, tangents_u, tangents_v);
+    backend_.moveSplats();
   }
 
-  /// Closest triangle of each ray (misses have kNoHit). Sizes must agree.
+  /// Closest triangle of each ray (misses have kNoHit). Sizes must agree. Watertight: no ray slips through an edge or a
+  /// vertex of a closed part that it comes upon from outside, nor out of one part that it starts in.
   void intersect(std::span<const Ray<Space>> rays, std::span<TriangleHit> hits, double near_distance = 0) const {
     std::vector<detail::RawRay> raw(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i) raw[i] = local(rays[i], near_distance, kFar);
@@ -117,42 +131,50 @@ class RayScene {
     backend_.occluded({&raw, 1}, {&blocked, 1});
     return blocked != 0;
   }
-  /// All splats from the first one met to `depth_window` (units) behind it, nearest first (ties: lowest index first).
-  void gatherSplats(const Ray<Space>& ray, double depth_window, std::vector<SplatHit>& hits) const {
-    backend_.gatherSplats(local(ray, 0, kFar), static_cast<float>(depth_window), hits);
+  /// The splats of each ray from the first one to the least, over all it meets, of its distance plus `depth_window`
+  /// times the longer of its half axes |u| and |v|. The set does not depend on the order in which they are found.
+  void gatherSplats(std::span<const Ray<Space>> rays, double depth_window, SplatLists& lists) const {
+    std::vector<detail::RawRay> raw(rays.size());
+    for (std::size_t i = 0; i < rays.size(); ++i) raw[i] = local(rays[i], 0, kFar);
+    backend_.gatherSplats(raw, static_cast<float>(depth_window), lists);
   }
 
  private:
   static constexpr double kFar = std::numeric_limits<float>::infinity();
+  static constexpr std::size_t kGrain = 1 << 14;
 
+  void putPositions(std::span<const Point<Space>> positions) {
+    setCenter(positions);
+    float* xyz = backend_.positions(positions.size());
+    parallelFor(positions.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) put((positions[i] - center_).raw(), xyz + 3 * i);
+    });
+  }
+  void putSplats(std::span<const Point<Space>> centers, std::span<const Vector<Space>> u,
+                 std::span<const Vector<Space>> v) {
+    setCenter(centers);
+    detail::RawSplat* splats = backend_.splats(centers.size());
+    parallelFor(centers.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) {
+        put((centers[i] - center_).raw(), splats[i].center);
+        put(u[i].raw(), splats[i].u);
+        put(v[i].raw(), splats[i].v);
+      }
+    });
+  }
   void setCenter(std::span<const Point<Space>> positions) {
+    std::vector<Box<Space>> boxes((positions.size() + kGrain - 1) / kGrain);
+    parallelFor(positions.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i)
+        if (isFinite(positions[i])) boxes[begin / kGrain].extend(positions[i]);
+    });
     Box<Space> box;
-    for (const auto& p : positions)
-      if (isFinite(p)) box.extend(p);
+    for (const Box<Space>& part : boxes)
+      if (!part.empty()) box.extend(Point<Space>(part.min)), box.extend(Point<Space>(part.max));
     center_ = box.empty() ? Point<Space>() : box.center();
   }
-  std::vector<float> localPositions(std::span<const Point<Space>> positions) const {
-    std::vector<float> xyz(positions.size() * 3);
-    for (std::size_t i = 0; i < positions.size(); ++i) put((positions[i] - center_).raw(), &xyz[3 * i]);
-    return xyz;
-  }
-  std::vector<detail::RawSplat> localSplats(std::span<const Point<Space>> centers, std::span<const Vector<Space>> u,
-                                            std::span<const Vector<Space>> v) const {
-    std::vector<detail::RawSplat> splats(centers.size());
-    for (std::size_t i = 0; i < centers.size(); ++i) {
-      put((centers[i] - center_).raw(), splats[i].center);
-      put(u[i].raw(), splats[i].u);
-      put(v[i].raw(), splats[i].v);
-    }
-    return splats;
-  }
   detail::RawRay local(const Ray<Space>& ray, double near_distance, double far_distance) const {
-    detail::RawRay raw;
-    put((ray.origin - center_).raw(), raw.origin);
-    put(ray.direction.raw(), raw.direction);
-    raw.near_distance = static_cast<float>(near_distance);
-    raw.far_distance = static_cast<float>(far_distance);
-    return raw;
+    return {(ray.origin - center_).raw(), ray.direction.raw(), near_distance, far_distance};
   }
   static void put(const Vec3& from, float* to) {
     for (int i = 0; i < 3; ++i) to[i] = static_cast<float>(from[i]);

@@ -202,23 +202,22 @@ void DeformedModel::intersectSplats(std::span<const Ray<ObjectSpace>> rays, std:
     SplatHit splat;
     double weight;
   };
-  std::vector<SplatHit> gathered;
+  SplatLists gathered;
   std::vector<Met> met;
   for (std::size_t k = 0; k < rays.size(); ++k) {
+    if (k % kBatch == 0)
+      scene_->gatherSplats(rays.subspan(k, std::min(kBatch, rays.size() - k)), kDepthWindow, gathered);
     SurfaceHit& hit = hits[k];
     hit.count = 0;
-    scene_->gatherSplats(rays[k], kDepthWindow * longest_splat_, gathered);
-    if (gathered.empty()) continue;
-    const SplatHit first = gathered.front();
+    const std::span<const SplatHit> near = gathered.of(k % kBatch);
+    if (near.empty()) continue;
+    const SplatHit first = near.front();
     const auto outward = [this](std::uint32_t i) {
       return static_cast<double>(tangents_[i].handedness) * unitOr(cross(splat_u_[i], splat_v_[i]).raw(), Vec3{});
     };
     const Vec3 first_normal = outward(first.splat);
-    const double window =
-        kDepthWindow * std::max(length(splat_u_[first.splat]), length(splat_v_[first.splat])) + first.distance;
     met.clear();
-    for (const SplatHit& splat : gathered) {
-      if (splat.distance > window) break;
+    for (const SplatHit& splat : near) {
       if (splat.splat != first.splat && !(dot(outward(splat.splat), first_normal) > kNormalCosine)) continue;
       met.push_back({splat, splatWeight(splat.a, splat.b)});
     }

@@ -3,10 +3,13 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cstdlib>
+#include <numeric>
 #include <random>
 
 #include "base/numeric.h"
 #include "base/parallel.h"
+#include "tests/model/test_shapes.h"
 
 namespace srf {
 namespace {
@@ -197,33 +200,84 @@ TEST(RayScene, NearDistanceSkipsWhatLiesBefore) {
   EXPECT_EQ(scene.intersect(ray, 1.5).triangle, 1u);
 }
 
-// Holes between triangles are tested as a rate over many rays: none of 200000 may slip through the edges of a sphere.
-TEST(RayScene, NoRaySlipsThroughSharedEdges) {
-  AcquisitionMesh sphere;
-  constexpr std::uint32_t n = 40;
-  for (std::uint32_t j = 0; j <= n; ++j)
-    for (std::uint32_t i = 0; i < 2 * n; ++i) {
-      const double theta = kPi * j / n, phi = kPi * i / n;
-      sphere.positions.emplace_back(std::sin(theta) * std::cos(phi), std::sin(theta) * std::sin(phi), std::cos(theta));
-      if (j == n) continue;
-      const std::uint32_t a = j * 2 * n + i, b = j * 2 * n + (i + 1) % (2 * n);
-      sphere.triangles.push_back({a, a + 2 * n, b + 2 * n});
-      sphere.triangles.push_back({a, b + 2 * n, b});
-    }
-  const auto scene = RayScene<Space>::ofTriangles(sphere.positions, sphere.triangles);
-  Random random(6);
-  std::vector<Ray<Space>> rays;
-  for (int i = 0; i < 200000; ++i) {
-    // From inside at a point of an edge: the worst case for watertightness.
-    const Triangle& t = sphere.triangles[static_cast<std::size_t>(random.uniform(0, 1) * sphere.triangles.size())];
-    const double s = random.uniform(0, 1);
-    const Vec3 on = (1 - s) * sphere.positions[t[0]].raw() + s * sphere.positions[t[1]].raw(),
-               from = random.inCube(0.3);
-    rays.push_back({Point3(from), *normalize(Vector3(on - from))});
+// Rays at edges and vertices of closed meshes, from outside and from inside: 1e6 of them, 1e8 with SRF_NIGHTLY=1. Bare
+// Embree lets some 0.2 % of those at vertices through.
+TEST(RayScene, NoRaySlipsThroughAnEdgeOrAVertex) {
+  const std::size_t wanted = std::getenv("SRF_NIGHTLY") ? 100'000'000 : 1'000'000;
+  constexpr std::size_t kChunk = 1 << 15;
+  AcquisitionMesh flat = test::sphere(100);
+  for (Point3& p : flat.positions) p = Point3(p.raw().x, 0.01 * p.raw().y, p.raw().z);
+  const std::vector<AcquisitionMesh> shapes{test::sphere(24), test::torus(80, 40), std::move(flat)};
+  for (std::size_t shape = 0; shape < shapes.size(); ++shape) {
+    const AcquisitionMesh& mesh = shapes[shape];
+    const auto scene = RayScene<Space>::ofTriangles(mesh.positions, mesh.triangles);
+    const std::size_t chunks = wanted / (2 * kChunk * shapes.size()) + 1;
+    std::vector<std::size_t> leaks(chunks);
+    parallelFor(chunks, 1, [&](std::size_t chunk, std::size_t) {
+      Random random(static_cast<unsigned>(chunk * shapes.size() + shape));
+      std::vector<Ray<Space>> rays(kChunk);
+      std::vector<TriangleHit> hits(kChunk);
+      for (const bool outside : {false, true}) {
+        for (std::size_t i = 0; i < kChunk; ++i) {
+          const Triangle& t = mesh.triangles[static_cast<std::size_t>(random.uniform(0, 1) * mesh.triangles.size())];
+          const double s = i % 2 ? 0 : random.uniform(0, 1);
+          const Vec3 on = (1 - s) * mesh.positions[t[0]].raw() + s * mesh.positions[t[1]].raw();
+          Vec3 from = random.inCube(0.3);
+          if (shape == 1) {  // on the circle inside the tube, near by
+            const double angle = std::atan2(on.y, on.x) + random.uniform(-0.15, 0.15);
+            from = {std::cos(angle), std::sin(angle), 0};
+          } else if (shape == 2) {
+            from.y *= 0.01;
+          }
+          if (outside) from = on + random.uniform(0.5, shape == 1 ? 1.4 : 4) * (on - from);
+          rays[i] = {Point3(from), *normalize(Vector3(on - from))};
+        }
+        scene.intersect(rays, hits);
+        for (std::size_t i = 0; i < kChunk; ++i) {
+          // From outside the first triangle met is seen from its front, from inside from its back.
+          bool front = false;
+          if (hits[i].hit()) {
+            const auto& [a, b, c] = mesh.triangles[hits[i].triangle];
+            const Vector3 n = cross(mesh.positions[b] - mesh.positions[a], mesh.positions[c] - mesh.positions[a]);
+            front = dot(n, rays[i].direction) < 0;
+          }
+          leaks[chunk] += !hits[i].hit() || front != outside;
+        }
+      }
+    });
+    EXPECT_EQ(std::accumulate(leaks.begin(), leaks.end(), std::size_t{0}), 0u)
+        << "shape " << shape << " of " << 2 * kChunk * chunks << " rays";
   }
+}
+
+// What is found again at a vertex is the surface that is there, and a ray beside the object stays beside it.
+TEST(RayScene, RaysAtVerticesMeetTheSurfaceThere) {
+  const AcquisitionMesh mesh = test::sphere(24);
+  const auto scene = RayScene<Space>::ofTriangles(mesh.positions, mesh.triangles);
+  Random random(11);
+  std::vector<Ray<Space>> rays, past;
+  std::vector<double> distances;
+  for (int round = 0; round < 20; ++round)
+    for (const Point3& p : mesh.positions) {
+      const Vec3 from = random.inCube(0.3);
+      rays.push_back({Point3(from), *normalize(Vector3(p.raw() - from))});
+      distances.push_back(length(p.raw() - from));
+      const Vec3 n = p.raw(), along = normalize(cross(Vector3(n), Vector3(random.inCube(1))))->raw();
+      past.push_back({Point3(1.00001 * n - 3.0 * along), *normalize(Vector3(along))});
+    }
   std::vector<TriangleHit> hits(rays.size());
   scene.intersect(rays, hits);
-  EXPECT_EQ(std::count_if(hits.begin(), hits.end(), [](const TriangleHit& h) { return !h.hit(); }), 0);
+  for (std::size_t i = 0; i < rays.size(); ++i) {
+    ASSERT_TRUE(hits[i].hit());
+    const auto& [a, b, c] = mesh.triangles[hits[i].triangle];
+    const Point3 met = mesh.positions[a] + (double{hits[i].b1} * (mesh.positions[b] - mesh.positions[a]) +
+                                            double{hits[i].b2} * (mesh.positions[c] - mesh.positions[a]));
+    ASSERT_NEAR(hits[i].distance, distances[i], 1e-5);
+    ASSERT_LT(distance(met, rays[i].origin + distances[i] * Vector3(rays[i].direction)), 1e-5);
+  }
+  hits.resize(past.size());
+  scene.intersect(past, hits);
+  EXPECT_EQ(std::count_if(hits.begin(), hits.end(), [](const TriangleHit& h) { return h.hit(); }), 0);
 }
 
 // --- Splats
@@ -261,9 +315,15 @@ std::vector<ExactSplat> splatsAlong(const Ray<Space>& ray, const Splats& splats,
   return met;
 }
 
+std::vector<SplatHit> gathered(const RayScene<Space>& scene, const Ray<Space>& ray, double window) {
+  SplatLists lists;
+  scene.gatherSplats({&ray, 1}, window, lists);
+  return lists.hits;
+}
+
 int expectGathered(const RayScene<Space>& scene, const Splats& splats, double cutoff, double window, Random& random,
                    const Vec3& middle) {
-  std::vector<SplatHit> hits;
+  const auto longest = [&](std::uint32_t i) { return std::max(length(splats.u[i]), length(splats.v[i])); };
   int compared = 0;
   for (int r = 0; r < 1500; ++r) {
     const Ray<Space> ray = random.rayThrough(middle);
@@ -273,11 +333,12 @@ int expectGathered(const RayScene<Space>& scene, const Splats& splats, double cu
       return std::fabs(s.margin) < 2e-3 || std::fabs(dot(n, ray.direction.raw())) < 0.02;
     };
     if (std::any_of(met.begin(), met.end(), doubtful)) continue;
-    const double last = met.empty() ? 0 : met[0].distance + window;
+    double last = INFINITY;
+    for (const ExactSplat& s : met) last = std::min(last, s.distance + window * longest(s.splat));
     if (std::any_of(met.begin(), met.end(), [&](const auto& s) { return std::fabs(s.distance - last) < 1e-3; }))
       continue;
     std::erase_if(met, [&](const ExactSplat& s) { return s.distance > last; });
-    scene.gatherSplats(ray, window, hits);
+    const auto hits = gathered(scene, ray, window);
     ++compared;
     EXPECT_EQ(hits.size(), met.size()) << "ray " << r;
     if (hits.size() != met.size()) return compared;
@@ -331,11 +392,9 @@ TEST(RayScene, SplatsThatAreNotFiniteOrHaveNoAreaAreInvisible) {
   const std::vector<Point3> center{Point3(0, 0, 1)};
   const std::vector<Vector3> u{Vector3(1, 0, 0)}, none{Vector3(0, 0, 0)}, along{Vector3(2, 0, 0)};
   const Ray<Space> ray{Point3(0, 0, 0), Direction<Space>()};
-  std::vector<SplatHit> hits;
   for (const auto& v : {none, along}) {
     const auto flat = RayScene<Space>::ofSplats(center, u, v, 1);
-    flat.gatherSplats(ray, 1, hits);
-    EXPECT_TRUE(hits.empty());
+    EXPECT_TRUE(gathered(flat, ray, 1).empty());
     EXPECT_FALSE(flat.occluded(ray, 0, 10));
   }
 }
@@ -343,17 +402,15 @@ TEST(RayScene, SplatsThatAreNotFiniteOrHaveNoAreaAreInvisible) {
 TEST(RayScene, EdgeOnSplatsAreSkippedAndNeedlesAreLimited) {
   const std::vector<Point3> center{Point3(0, 0, 1)};
   const std::vector<Vector3> u{Vector3(1, 0, 0)};
-  std::vector<SplatHit> hits;
   const Ray<Space> ray{Point3(0, 0, 0), Direction<Space>()};
-  RayScene<Space>::ofSplats(center, u, std::vector<Vector3>{Vector3(0, 0, 1)}, 1).gatherSplats(ray, 1, hits);
-  EXPECT_TRUE(hits.empty());
+  const auto edge_on = RayScene<Space>::ofSplats(center, u, std::vector<Vector3>{Vector3(0, 0, 1)}, 1);
+  EXPECT_TRUE(gathered(edge_on, ray, 1).empty());
   const auto needle = RayScene<Space>::ofSplats(center, u, std::vector<Vector3>{Vector3(0, 1e-4, 0)}, 1);
-  needle.gatherSplats({Point3(0.5, 0.5e-4, 0), Direction<Space>()}, 1, hits);
+  const auto hits = gathered(needle, {Point3(0.5, 0.5e-4, 0), Direction<Space>()}, 1);
   ASSERT_EQ(hits.size(), 1u);
   EXPECT_NEAR(hits[0].a, 0.5, 1e-5);
   EXPECT_NEAR(hits[0].b, 0.5, 1e-3);
-  needle.gatherSplats({Point3(0.5, 2e-4, 0), Direction<Space>()}, 1, hits);
-  EXPECT_TRUE(hits.empty());
+  EXPECT_TRUE(gathered(needle, {Point3(0.5, 2e-4, 0), Direction<Space>()}, 1).empty());
 }
 
 TEST(RayScene, SplatsOccludeBetweenNearAndFar) {
