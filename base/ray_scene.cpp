@@ -82,6 +82,8 @@ class EmbreeScene {
   }
   EmbreeScene() : scene_(rtcNewScene(device())) {
     rtcSetSceneFlags(scene_, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_DYNAMIC));
+    // One tree a geometry, which can be refitted; with a better scene Embree builds everything anew at every commit.
+    rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_LOW);
   }
   EmbreeScene(const EmbreeScene&) = delete;
   EmbreeScene& operator=(const EmbreeScene&) = delete;
@@ -93,21 +95,20 @@ class EmbreeScene {
     positions_.resize(3 * vertices + 4);  // Embree reads 16 bytes at the last vertex
     return positions_.data();
   }
-  void setTriangles(std::span<const Triangle> triangles) {
+  void setTriangles(std::span<const Triangle> triangles, bool all_finite) {
+    all_finite_ = all_finite;
     const std::size_t vertices = (positions_.size() - 4) / 3;
     for (const Triangle& t : triangles)
       for (const std::uint32_t corner : t) SRF_CHECK(corner < vertices);
     triangles_.assign(triangles.begin(), triangles.end());
-    geometry_ = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_TRIANGLE);
-    rtcSetSharedGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, positions_.data(), 0, 12,
-                               vertices);
-    rtcSetSharedGeometryBuffer(geometry_, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, triangles_.data(), 0,
-                               sizeof(Triangle), triangles_.size());
-    attach();
+    build();
   }
-  void moveTriangles() {
+  void moveTriangles(bool all_finite) {
     rtcUpdateGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
-    refit();
+    // Embree leaves triangles that are not finite out of the tree, and refitting would not bring them back.
+    const bool complete = all_finite && all_finite_;
+    all_finite_ = all_finite;
+    complete ? refit() : build();
   }
 
   RawSplat* splats(std::size_t count) {
@@ -117,20 +118,12 @@ class EmbreeScene {
   void setSplats(float cutoff) {
     cutoff_ = cutoff;
     prepareSplats();
-    geometry_ = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_USER);
-    rtcSetGeometryUserPrimitiveCount(geometry_, static_cast<unsigned>(splats_.size()));
-    rtcSetGeometryUserData(geometry_, this);
-    rtcSetGeometryBoundsFunction(geometry_, splatBounds, nullptr);
-    rtcSetGeometryIntersectFunction(geometry_, intersectSplat);
-    rtcSetGeometryOccludedFunction(geometry_, occludedSplat);
-    attach();
+    build();
   }
   void moveSplats() {
-    if (splats_.size() != raw_splats_.size())
-      rtcSetGeometryUserPrimitiveCount(geometry_, static_cast<unsigned>(raw_splats_.size()));
     const bool same_number = splats_.size() == raw_splats_.size();
     prepareSplats();
-    refit(same_number);
+    same_number ? refit() : build();
   }
 
   /// Whether the ray comes near what there is.
@@ -190,22 +183,38 @@ class EmbreeScene {
   }
 
  private:
-  void attach() {
-    rtcSetGeometryBuildQuality(geometry_, RTC_BUILD_QUALITY_MEDIUM);
+  RTCGeometry newGeometry() {
+    if (!splats_.empty()) {
+      RTCGeometry splats = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_USER);
+      rtcSetGeometryUserPrimitiveCount(splats, static_cast<unsigned>(splats_.size()));
+      rtcSetGeometryUserData(splats, this);
+      rtcSetGeometryBoundsFunction(splats, splatBounds, nullptr);
+      rtcSetGeometryIntersectFunction(splats, intersectSplat);
+      rtcSetGeometryOccludedFunction(splats, occludedSplat);
+      return splats;
+    }
+    RTCGeometry triangles = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_TRIANGLE);
+    rtcSetSharedGeometryBuffer(triangles, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, positions_.data(), 0, 12,
+                               positions_.size() / 3);
+    rtcSetSharedGeometryBuffer(triangles, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, triangles_.data(), 0,
+                               sizeof(Triangle), triangles_.size());
+    return triangles;
+  }
+  void build() {
+    if (geometry_) rtcDetachGeometry(scene_, 0);
+    geometry_ = newGeometry();
+    rtcSetGeometryBuildQuality(geometry_, RTC_BUILD_QUALITY_REFIT);  // the first build is a full one all the same
     rtcSetGeometryMask(geometry_, 0xffffffffu);
     rtcCommitGeometry(geometry_);
-    rtcAttachGeometry(scene_, geometry_);
+    rtcAttachGeometryByID(scene_, geometry_, 0);
     rtcReleaseGeometry(geometry_);  // the scene holds it from here on
     commit();
     built_area_ = summedBoxArea();
   }
-  void refit(bool same_number = true) {
-    const double area = summedBoxArea();
-    const bool rebuild = !same_number || !(area < kRefitDecay * built_area_);
-    rtcSetGeometryBuildQuality(geometry_, rebuild ? RTC_BUILD_QUALITY_LOW : RTC_BUILD_QUALITY_REFIT);
+  void refit() {
+    if (!(summedBoxArea() < kRefitDecay * built_area_)) return build();
     rtcCommitGeometry(geometry_);
     commit();
-    if (rebuild) built_area_ = area;
   }
   void commit() {
     rtcCommitScene(scene_);
@@ -259,8 +268,8 @@ class EmbreeScene {
       high[k] = s.center[k] + half + pad;
       finite &= std::isfinite(low[k]) && std::isfinite(high[k]);
     }
-    if (!finite)  // an empty box: the primitive is never met
-      for (int k = 0; k < 3; ++k) low[k] = INFINITY, high[k] = -INFINITY;
+    if (!finite)  // a point at the centre, where it is never met: an empty box would be left out of all refits to come
+      for (int k = 0; k < 3; ++k) low[k] = high[k] = 0;
     *args->bounds_o = {low[0], low[1], low[2], 0, high[0], high[1], high[2], 0};
   }
 
@@ -322,6 +331,7 @@ class EmbreeScene {
   std::vector<RawSplat> raw_splats_;
   std::vector<Splat> splats_;
   float cutoff_ = 1;
+  bool all_finite_ = true;  ///< vertices at the latest build
   double built_area_ = 0;
   Vec3 box_low_, box_high_;
   double reach_ = 0;  ///< of the box from the centre
@@ -335,11 +345,11 @@ RayBackend& RayBackend::operator=(RayBackend&&) noexcept = default;
 float* RayBackend::positions(std::size_t vertices) {
   return scene_->positions(vertices);
 }
-void RayBackend::setTriangles(std::span<const Triangle> triangles) {
-  scene_->setTriangles(triangles);
+void RayBackend::setTriangles(std::span<const Triangle> triangles, bool all_finite) {
+  scene_->setTriangles(triangles, all_finite);
 }
-void RayBackend::moveTriangles() {
-  scene_->moveTriangles();
+void RayBackend::moveTriangles(bool all_finite) {
+  scene_->moveTriangles(all_finite);
 }
 RawSplat* RayBackend::splats(std::size_t count) {
   return scene_->splats(count);

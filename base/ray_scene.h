@@ -60,8 +60,8 @@ class RayBackend {
   RayBackend& operator=(RayBackend&&) noexcept;
   /// Room for the vertices, x y z each; setTriangles or moveTriangles takes them from there.
   float* positions(std::size_t vertices);
-  void setTriangles(std::span<const Triangle> triangles);
-  void moveTriangles();
+  void setTriangles(std::span<const Triangle> triangles, bool all_finite);
+  void moveTriangles(bool all_finite);
   RawSplat* splats(std::size_t count);
   void setSplats(float cutoff);
   void moveSplats();
@@ -81,8 +81,8 @@ class RayScene {
   /// Copies the triangles. Vertices that are not finite make their triangles invisible.
   static RayScene ofTriangles(std::span<const Point<Space>> positions, std::span<const Triangle> triangles) {
     RayScene scene;
-    scene.putPositions(positions);
-    scene.backend_.setTriangles(triangles);
+    const bool all_finite = scene.putPositions(positions);
+    scene.backend_.setTriangles(triangles, all_finite);
     return scene;
   }
   /// Elliptical splats {center + a u + b v : a^2 + b^2 <= cutoff^2}; `tangents_u`, `tangents_v` need not be orthogonal.
@@ -95,8 +95,8 @@ class RayScene {
   }
   /// New positions for the same triangles: the acceleration structure is refitted, or rebuilt when it has decayed.
   void moveTriangles(std::span<const Point<Space>> positions) {
-    putPositions(positions);
-    backend_.moveTriangles();
+    const bool all_finite = putPositions(positions);
+    backend_.moveTriangles(all_finite);
   }
   /// New places for the same number of splats, likewise.
   void moveSplats(std::span<const Point<Space>> centers, std::span<const Vector<Space>> tangents_u,
@@ -143,12 +143,13 @@ class RayScene {
   static constexpr double kFar = std::numeric_limits<float>::infinity();
   static constexpr std::size_t kGrain = 1 << 14;
 
-  void putPositions(std::span<const Point<Space>> positions) {
-    setCenter(positions);
+  bool putPositions(std::span<const Point<Space>> positions) {
+    const bool all_finite = setCenter(positions);
     float* xyz = backend_.positions(positions.size());
     parallelFor(positions.size(), kGrain, [&](std::size_t begin, std::size_t end) {
       for (std::size_t i = begin; i < end; ++i) put((positions[i] - center_).raw(), xyz + 3 * i);
     });
+    return all_finite;
   }
   void putSplats(std::span<const Point<Space>> centers, std::span<const Vector<Space>> u,
                  std::span<const Vector<Space>> v) {
@@ -162,16 +163,34 @@ class RayScene {
       }
     });
   }
-  void setCenter(std::span<const Point<Space>> positions) {
-    std::vector<Box<Space>> boxes((positions.size() + kGrain - 1) / kGrain);
+  /// About which the floats count; false: some positions are not finite.
+  bool setCenter(std::span<const Point<Space>> positions) {
+    struct Part {
+      Box<Space> box;
+      bool finite = true;
+    };
+    std::vector<Part> parts((positions.size() + kGrain - 1) / kGrain);
     parallelFor(positions.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+      Part part;
       for (std::size_t i = begin; i < end; ++i)
-        if (isFinite(positions[i])) boxes[begin / kGrain].extend(positions[i]);
+        if (isFinite(positions[i])) {
+          const Vec3& p = positions[i].raw();
+          for (int k = 0; k < 3; ++k) {
+            part.box.min[k] = p[k] < part.box.min[k] ? p[k] : part.box.min[k];
+            part.box.max[k] = p[k] > part.box.max[k] ? p[k] : part.box.max[k];
+          }
+        } else {
+          part.finite = false;
+        }
+      parts[begin / kGrain] = part;
     });
-    Box<Space> box;
-    for (const Box<Space>& part : boxes)
-      if (!part.empty()) box.extend(Point<Space>(part.min)), box.extend(Point<Space>(part.max));
-    center_ = box.empty() ? Point<Space>() : box.center();
+    Part all;
+    for (const Part& part : parts) {
+      all.finite &= part.finite;
+      if (!part.box.empty()) all.box.extend(Point<Space>(part.box.min)), all.box.extend(Point<Space>(part.box.max));
+    }
+    center_ = all.box.empty() ? Point<Space>() : all.box.center();
+    return all.finite;
   }
   detail::RawRay local(const Ray<Space>& ray, double near_distance, double far_distance) const {
     return {(ray.origin - center_).raw(), ray.direction.raw(), near_distance, far_distance};

@@ -42,7 +42,9 @@ class BareLoop {
     device_ = rtcNewDevice("start_threads=0");
     scene_ = rtcNewScene(device_);
     rtcSetSceneFlags(scene_, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_DYNAMIC));
+    rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_LOW);
     geometry_ = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
+    rtcSetGeometryBuildQuality(geometry_, RTC_BUILD_QUALITY_REFIT);
     rtcSetSharedGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, moved_.data(), 0, 12,
                                rest_.size() / 3);
     rtcSetSharedGeometryBuffer(geometry_, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, triangles_.data(), 0, 12,
@@ -50,7 +52,6 @@ class BareLoop {
     rtcCommitGeometry(geometry_);
     rtcAttachGeometry(scene_, geometry_);
     rtcCommitScene(scene_);
-    rtcSetGeometryBuildQuality(geometry_, RTC_BUILD_QUALITY_REFIT);
   }
   ~BareLoop() {
     rtcReleaseGeometry(geometry_);

@@ -29,9 +29,6 @@ constexpr int kMostLatticePoints = 64;  // along one axis
 Mat3 outer(const Vec3& a, const Vec3& b) {
   return {{a.x * b, a.y * b, a.z * b}};
 }
-double sinc(double x) {
-  return x == 0 ? 1 : std::sin(x) / x;
-}
 double reciprocalLength(double per_unit) {
   return per_unit == 0 ? kInfinity : 1 / std::fabs(per_unit);
 }
@@ -57,21 +54,34 @@ class AffineMap final : public SpaceMap {
 
 class TwistMap final : public SpaceMap {
  public:
-  TwistMap(const Vec3& origin, const Vec3& axis, double k) : origin_(origin), axis_(axis), k_(k) {}
+  TwistMap(const Vec3& origin, const Vec3& axis, double k)
+      : origin_(origin), axis_(axis), k_(k), along_(outer(axis, axis)), turning_(crossMatrix(axis)) {}
   Vec3 map(const Vec3& p) const override {
     const Vec3 q = p - origin_;
-    return origin_ + rotationAbout(axis_, k_ * dot(q, axis_)) * q;
+    return origin_ + turn(q) * q;
   }
   Mat3 jacobian(const Vec3& p) const override {
+    Mat3 j;
+    mapWithJacobian(p, j);
+    return j;
+  }
+  Vec3 mapWithJacobian(const Vec3& p, Mat3& j) const override {
     const Vec3 q = p - origin_;
-    const Mat3 turn = rotationAbout(axis_, k_ * dot(q, axis_));
-    return turn + k_ * outer(cross(axis_, turn * q), axis_);
+    const Mat3 rotation = turn(q);
+    const Vec3 turned = rotation * q;
+    j = rotation + outer(k_ * cross(axis_, turned), axis_);
+    return origin_ + turned;
   }
   double lengthScale() const override { return reciprocalLength(k_); }
 
  private:
+  Mat3 turn(const Vec3& q) const {
+    const double angle = k_ * dot(q, axis_), c = std::cos(angle), s = std::sin(angle);
+    return c * Mat3{} + s * turning_ + (1 - c) * along_;
+  }
   Vec3 origin_, axis_;
   double k_;  // radians per unit
+  Mat3 along_, turning_;
 };
 
 class TaperMap final : public SpaceMap {
@@ -98,29 +108,41 @@ class TaperMap final : public SpaceMap {
 class BendMap final : public SpaceMap {
  public:
   BendMap(const Vec3& origin, const Vec3& axis, const Vec3& toward, double k, double low, double high)
-      : origin_(origin), axis_(axis), toward_(toward), side_(cross(axis, toward)), k_(k), low_(low), high_(high) {}
+      : origin_(origin),
+        axis_(axis),
+        toward_(toward),
+        side_(cross(axis, toward)),
+        across_(outer(side_, side_)),
+        k_(k),
+        low_(low),
+        high_(high) {}
   Vec3 map(const Vec3& p) const override {
+    Mat3 unused;
+    return mapWithJacobian(p, unused);
+  }
+  Mat3 jacobian(const Vec3& p) const override {
+    Mat3 j;
+    mapWithJacobian(p, j);
+    return j;
+  }
+  Vec3 mapWithJacobian(const Vec3& p, Mat3& j) const override {
     const Vec3 q = p - origin_;
     const double x = dot(q, toward_), y = dot(q, side_), s = dot(q, axis_);
     const double clamped = std::clamp(s, low_, high_), r = s - clamped, th = k_ * clamped;
+    const double c = std::cos(th), d = std::sin(th), half = std::sin(th / 2);
     // sin(th) / k and (1 - cos(th)) / k without dividing by a small k.
-    const double along = clamped * sinc(th) - std::sin(th) * x + std::cos(th) * r;
-    const double over = clamped * std::sin(th / 2) * sinc(th / 2) + std::cos(th) * x + std::sin(th) * r;
-    return origin_ + y * side_ + along * axis_ + over * toward_;
-  }
-  Mat3 jacobian(const Vec3& p) const override {
-    const Vec3 q = p - origin_;
-    const double x = dot(q, toward_), s = dot(q, axis_);
-    const double clamped = std::clamp(s, low_, high_), th = k_ * clamped;
+    const double sinc = th == 0 ? 1 : d / th, sinc_of_half = th == 0 ? 1 : half / (th / 2);
+    const double along = clamped * sinc - d * x + c * r, over = clamped * half * sinc_of_half + c * x + d * r;
     const double stretch = s == clamped ? 1 - k_ * x : 1;  // beyond the range the object goes on rigidly
-    const double c = std::cos(th), d = std::sin(th);
-    return outer(side_, side_) + outer(axis_, (c * stretch) * axis_ - d * toward_) +
-           outer(toward_, (d * stretch) * axis_ + c * toward_);
+    j = across_ + outer(axis_, (c * stretch) * axis_ - d * toward_) +
+        outer(toward_, (d * stretch) * axis_ + c * toward_);
+    return origin_ + y * side_ + along * axis_ + over * toward_;
   }
   double lengthScale() const override { return reciprocalLength(k_); }
 
  private:
   Vec3 origin_, axis_, toward_, side_;
+  Mat3 across_;
   double k_;  // radians per unit
   double low_, high_;
 };
@@ -382,13 +404,21 @@ Point<ObjectSpace> Deformation::map(const Point<AcquisitionSpace>& p0) const {
 }
 
 Linear<ObjectSpace, AcquisitionSpace> Deformation::jacobian(const Point<AcquisitionSpace>& p0) const {
+  Linear<ObjectSpace, AcquisitionSpace> total;
+  mapWithJacobian(p0, total);
+  return total;
+}
+
+Point<ObjectSpace> Deformation::mapWithJacobian(const Point<AcquisitionSpace>& p0,
+                                                Linear<ObjectSpace, AcquisitionSpace>& jacobian_at_p0) const {
   Vec3 p = p0.raw();
-  Mat3 total;
-  for (const auto& step : steps_) {
-    total = step->jacobian(p) * total;
-    p = step->map(p);
+  Mat3 total, own;
+  for (std::size_t i = 0; i < steps_.size(); ++i) {
+    p = steps_[i]->mapWithJacobian(p, own);
+    total = i == 0 ? own : own * total;
   }
-  return Linear<ObjectSpace, AcquisitionSpace>(total);
+  jacobian_at_p0 = Linear<ObjectSpace, AcquisitionSpace>(total);
+  return Point<ObjectSpace>(p);
 }
 
 Linear<ObjectSpace, AcquisitionSpace> Deformation::differences(const Point<AcquisitionSpace>& p0,

@@ -25,6 +25,11 @@ class SpaceMap {
   virtual Vec3 map(const Vec3& p) const = 0;
   /// The Jacobian D(Psi)(p); one-sided at creases.
   virtual Mat3 jacobian(const Vec3& p) const = 0;
+  /// Both at once, to the same bits, for maps that share work between them.
+  virtual Vec3 mapWithJacobian(const Vec3& p, Mat3& jacobian_at_p) const {
+    jacobian_at_p = jacobian(p);
+    return map(p);
+  }
   /// A length over which the map changes little, units; infinite for affine maps. Sets the step of Eq. 6.
   virtual double lengthScale() const = 0;
   virtual bool rigid() const { return false; }
@@ -41,8 +46,11 @@ class Deformation {
   Point<ObjectSpace> map(const Point<AcquisitionSpace>& p0) const;
   /// The analytic Jacobian, by the chain rule.
   Linear<ObjectSpace, AcquisitionSpace> jacobian(const Point<AcquisitionSpace>& p0) const;
-  /// The same by central differences (Eq. 6), with the step 2^-17 of the length scale of object and map: the check of
-  /// the analytic one, and what a map without one would use.
+  /// map and jacobian in one pass.
+  Point<ObjectSpace> mapWithJacobian(const Point<AcquisitionSpace>& p0,
+                                     Linear<ObjectSpace, AcquisitionSpace>& jacobian_at_p0) const;
+  /// The Jacobian by central differences (Eq. 6), with the step 2^-17 of the length scale of object and map: the check
+  /// of the analytic one, and what a map without one would use.
   Linear<ObjectSpace, AcquisitionSpace> differences(const Point<AcquisitionSpace>& p0, double object_diameter) const;
 
  private:

@@ -41,6 +41,14 @@ Vec3 unitOr(const Vec3& a, const Vec3& otherwise) {
   return squared > 0 ? a / std::sqrt(squared) : otherwise;
 }
 
+// Whether deformedFrame would say so; most tangents are far from it.
+bool collapsed(const Tangents<ObjectSpace>& tangents) {
+  const Vec3 &u = tangents.u.raw(), &v = tangents.v.raw(), n = cross(u, v);
+  const double uu = dot(u, u), vv = dot(v, v);
+  const bool ordinary = uu > 1e-100 && uu < 1e100 && vv > 1e-100 && vv < 1e100 && dot(n, n) > 1e-20 * uu * vv;
+  return !ordinary && deformedFrame(tangents, FrameMode::bisector).collapsed;
+}
+
 }  // namespace
 
 DeformedModel::DeformedModel(const DeformableModel& model)
@@ -89,9 +97,9 @@ void DeformedModel::carry(const Deformation& psi, const MovedVertices* moved) {
         gradient = Linear<ObjectSpace, AcquisitionSpace>(sum);
         handedness = motion.handedness[corners[0]];
       }
-      p_star_[i] = psi.map(from);
       // M8: tangents by the analytic Jacobian (its check is Eq. 6), after moved vertices by the chain rule.
-      const Linear<ObjectSpace, AcquisitionSpace> space = psi.jacobian(from);
+      Linear<ObjectSpace, AcquisitionSpace> space;
+      p_star_[i] = psi.mapWithJacobian(from, space);
       const Mat3 jacobian = moved ? space.raw() * gradient.raw() : space.raw();
       if (determinant(space) < 0) handedness = -handedness;
       tangents_[i] = {Vector<ObjectSpace>(jacobian * frame.column(0)), Vector<ObjectSpace>(jacobian * frame.column(1)),
@@ -104,7 +112,7 @@ void DeformedModel::carry(const Deformation& psi, const MovedVertices* moved) {
         continue;
       }
       count.mirrored += handedness < 0;
-      count.collapsed += deformedFrame(tangents_[i], FrameMode::bisector).collapsed;
+      count.collapsed += collapsed(tangents_[i]);
     }
   });
   for (const DeformedStatistics& count : counts) {
