@@ -55,11 +55,17 @@ ImportedShape shapeFor(const std::string& shape, const std::filesystem::path& sr
 }  // namespace
 
 DeformableModel makeModel(const std::filesystem::path& srf_folder, const std::string& shape,
-                          const ModelOptions& options, Reporter& reporter, const std::string& name) {
+                          const ModelOptions& options, const std::optional<FitOptions>& fit, Reporter& reporter,
+                          const std::string& name) {
   const SrfManifest field = readManifest(srf_folder);
   const ImportedShape imported = shapeFor(shape, srf_folder, field, reporter);
   DeformableModel model = buildModel(imported.mesh, shape, imported.positional_error, field, options, reporter);
-  storeModel(srf_folder, model, !name.empty() ? name : options.kind == ModelKind::mesh ? "mesh" : "surfels");
+  const std::string stored = !name.empty() ? name : options.kind == ModelKind::mesh ? "mesh" : "surfels";
+  storeModel(srf_folder, model, stored);
+  if (!fit) return model;
+  // A run that ends here leaves the model whole, without a fit: rendering is then plain.
+  if (const auto fitted = fitReflectance(srf_folder, readManifest(srf_folder), model, *fit, reporter))
+    storeFit(srf_folder, *fitted, stored);
   return model;
 }
 

@@ -5,12 +5,15 @@
 #include <string>
 
 #include "model/deformable_model.h"
+#include "model/reflectance_fit.h"
 
 namespace srf {
 
 /// `shape`: "hull", a parametric name (sphere, box, cylinder, plane, torus) or a mesh or point file. Stores the model
-/// under `name` (empty: "mesh" or "surfels"), makes it the active one and returns it.
+/// under `name` (empty: "mesh" or "surfels"), makes it the active one, fits the reflectance model to its points where
+/// `fit` is given, and returns it.
 DeformableModel makeModel(const std::filesystem::path& srf_folder, const std::string& shape,
-                          const ModelOptions& options, Reporter& reporter, const std::string& name = "");
+                          const ModelOptions& options, const std::optional<FitOptions>& fit, Reporter& reporter,
+                          const std::string& name = "");
 
 }  // namespace srf

@@ -34,7 +34,7 @@ void printSummary(const DeformableModel& model) {
 int main(int argc, char** argv) {
   using namespace srf;
   Program program("model", "Makes the model inside an SRF", "GPL-3.0-or-later (links CGAL)");
-  std::string srf_folder, kind = "mesh", shape = "hull", name;
+  std::string srf_folder, kind = "mesh", shape = "hull", name, fit = "auto";
   ModelOptions options;
   CLI::App& app = program.app();
   app.add_option("SRF", srf_folder, "the field, X.srf")->required();
@@ -50,8 +50,13 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0.0, 1.0))
       ->capture_default_str();
   app.add_option("--name", name, "name of the model in the field; default: its kind");
+  app.add_option("--fit", fit, "auto: fits a reflectance model that guides interpolation, where lights are known; off")
+      ->check(CLI::IsMember({"auto", "off"}))
+      ->capture_default_str();
   return program.run(argc, argv, [&](Reporter& reporter) {
     options.kind = kind == "mesh" ? ModelKind::mesh : ModelKind::surfels;
-    printSummary(makeModel(srf_folder, shape, options, reporter, name));
+    std::optional<FitOptions> fitting;
+    if (fit == "auto") fitting = FitOptions{program.memoryBudget()};
+    printSummary(makeModel(srf_folder, shape, options, fitting, reporter, name));
   });
 }

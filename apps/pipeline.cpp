@@ -21,7 +21,7 @@ namespace srf {
 namespace {
 
 struct PipelineOptions {
-  std::string capture, scene, output, kind = "mesh", shape = "hull", frames;
+  std::string capture, scene, output, kind = "mesh", shape = "hull", fit = "auto", frames;
   std::vector<std::string> overrides;
   std::string command;
   std::size_t memory_bytes = 0;
@@ -158,13 +158,15 @@ void runPipeline(const PipelineOptions& options, Reporter& reporter) {
   });
 
   // The deformable model with its local parameterization.
-  Stamp model_stamp(capture_stamp + options.kind);
+  Stamp model_stamp(capture_stamp + options.kind + options.fit);
   model_stamp.addFile(options.shape);
   const bool has_model = fs::exists(field_folder) && !readManifest(field_folder).active_model.empty();
   journal.step("model", model_stamp.text(), has_model, [&] {
     ModelOptions model;
     model.kind = options.kind == "surfels" ? ModelKind::surfels : ModelKind::mesh;
-    makeModel(field_folder, options.shape, model, reporter);
+    std::optional<FitOptions> fit;
+    if (options.fit == "auto") fit = FitOptions{options.memory_bytes};
+    makeModel(field_folder, options.shape, model, fit, reporter);
   });
 
   // Deform 120, look up 130, shade 140: the images 104.
@@ -234,6 +236,9 @@ int main(int argc, char** argv) {
       ->check(CLI::IsMember({"mesh", "surfels"}))
       ->capture_default_str();
   app.add_option("--shape", options.shape, "hull, sphere, box, cylinder, plane, torus, or a mesh or point file")
+      ->capture_default_str();
+  app.add_option("--fit", options.fit, "auto: a reflectance model that guides interpolation is fitted; off")
+      ->check(CLI::IsMember({"auto", "off"}))
       ->capture_default_str();
   app.add_option("--frames", options.frames, "frames instead of the scene's, e.g. 0-10");
   app.add_option("--set", options.overrides, "/json/pointer=value: changes the scene; may be repeated")

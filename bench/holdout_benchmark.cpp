@@ -93,7 +93,7 @@ int main(int argc, char** argv) {
     options.memory_bytes = program.memoryBudget();
     options.hull.tolerance = tolerance;
     acquireField(kept, srf_folder, options, reporter);
-    makeModel(srf_folder, "hull", {}, reporter);
+    makeModel(srf_folder, "hull", {}, std::nullopt, reporter);
     const SrfManifest field = readManifest(srf_folder);
     const DeformableModel model = loadModel(srf_folder, field);
     DeformedModel deformed(model);

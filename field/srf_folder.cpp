@@ -100,6 +100,9 @@ const StoredFile* SrfManifest::shape(const std::string& name) const {
 const StoredFile* SrfManifest::model(const std::string& name) const {
   return named(models, name);
 }
+const StoredFile* SrfManifest::fit(const std::string& name) const {
+  return named(fits, name);
+}
 
 bool isSrfFolder(const fs::path& folder) {
   try {
@@ -119,7 +122,7 @@ SrfManifest readManifest(const fs::path& folder) {
     throw root["version"].error("is " + std::to_string(version) + ", this program reads up to " +
                                 std::to_string(kSrfVersion) + "; use a newer program or run `srf acquire` again");
   root.onlyKeys({"format", "version", "units", "color_space", "source", "command", "lights", "views", "shapes",
-                 "models", "active_model"});
+                 "models", "fits", "active_model"});
   SrfManifest manifest;
   manifest.units = root["units"].string();
   manifest.color_space = root["color_space"].string();
@@ -135,6 +138,7 @@ SrfManifest readManifest(const fs::path& folder) {
     manifest.views.push_back(readView(views.at(i), folder, manifest.lights.size()));
   manifest.shapes = readFiles(root["shapes"], folder);
   manifest.models = readFiles(root["models"], folder);
+  if (root.has("fits")) manifest.fits = readFiles(root["fits"], folder);
   manifest.active_model = root["active_model"].string();
   if (!manifest.active_model.empty() && !manifest.model(manifest.active_model))
     throw root["active_model"].error("found '" + manifest.active_model + "', which /models does not have");
@@ -169,12 +173,13 @@ void writeManifest(const fs::path& folder, const SrfManifest& manifest) {
   }
   root["shapes"] = filesJson(manifest.shapes);
   root["models"] = filesJson(manifest.models);
+  if (!manifest.fits.empty()) root["fits"] = filesJson(manifest.fits);
   root["active_model"] = manifest.active_model;
   writeJsonFile(folder / "manifest.json", root);  // the switch
 
   std::set<fs::path> named;
   for (const StoredView& v : manifest.views) named.insert(folder / v.file);
-  for (const auto* list : {&manifest.shapes, &manifest.models})
+  for (const auto* list : {&manifest.shapes, &manifest.models, &manifest.fits})
     for (const StoredFile& f : *list) named.insert(folder / f.file);
   for (const char* name : kFolders) {
     std::error_code code;  // what cannot be removed stays behind and harms nothing

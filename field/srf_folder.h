@@ -26,7 +26,7 @@ struct StoredView {
 
 struct StoredFile {
   std::string name;        ///< e.g. "hull", or a model's name
-  std::string kind;        ///< "shape", "mesh", "surfels"
+  std::string kind;        ///< "shape", "mesh", "surfels", "fit"
   std::string file;        ///< relative to the folder
   std::uint64_t hash = 0;  ///< contentHash of the file's bytes
 };
@@ -38,13 +38,15 @@ struct SrfManifest {
   std::vector<StoredView> views;
   std::vector<StoredFile> shapes;  ///< "hull" where acquire carved one
   std::vector<StoredFile> models;
-  std::string active_model;  ///< the one `srf render` uses; empty before `srf model`
-  std::string source;        ///< the capture's folder name, for people
-  std::string command;       ///< what made the field
+  std::vector<StoredFile> fits;  ///< kind "fit": reflectance fitted to the points of the model of the same name
+  std::string active_model;      ///< the one `srf render` uses; empty before `srf model`
+  std::string source;            ///< the capture's folder name, for people
+  std::string command;           ///< what made the field
 
   bool unknownIllumination() const { return lights.size() == 1 && lights[0].kind == LightKind::captured; }
   const StoredFile* shape(const std::string& name) const;
   const StoredFile* model(const std::string& name) const;
+  const StoredFile* fit(const std::string& name) const;
 };
 
 /// Whether the folder has the manifest of an SRF, of any version.

@@ -157,6 +157,8 @@ void storeModel(const std::filesystem::path& srf_folder, const DeformableModel& 
   writeBinaryFile(srf_folder / entry.file, bytes.data(), bytes.size());
   std::erase_if(manifest.models, [&name](const StoredFile& other) { return other.name == name; });
   manifest.models.push_back(entry);
+  // What was fitted to the points of the one before holds no more.
+  std::erase_if(manifest.fits, [&name](const StoredFile& fit) { return fit.name == name; });
   manifest.active_model = name;
   writeManifest(srf_folder, manifest);
 }

@@ -93,7 +93,7 @@ class Capsule : public testing::Test {
   static std::map<std::string, double> measured(const std::string& shape, ModelKind kind) {
     ModelOptions options;
     options.kind = kind;
-    makeModel(*folder_ / "capsule.srf", shape, options, Reporter::silent());
+    makeModel(*folder_ / "capsule.srf", shape, options, std::nullopt, Reporter::silent());
     const auto psnr = renderCases(*test::sharedData("capsule") / "cases", *folder_ / "capsule.srf", folder_->path());
     for (const auto& [name, value] : psnr)
       std::printf("%-16s %6.2f dB  %+.2f\n", name.c_str(), value, value - kPlainFigures.at(name));
@@ -115,7 +115,7 @@ TEST_F(Capsule, HullFromItsMasksReachesThePlainFiguresAndHalfADecibelMoreInTheMe
 
 TEST_F(Capsule, LookUpAgreesWithTheIndependentProgramsDirections) {
   SRF_REQUIRE_DATA(data, "capsule");
-  makeModel(*folder_ / "capsule.srf", (data / "capture" / "model.ply").string(), {}, Reporter::silent());
+  makeModel(*folder_ / "capsule.srf", (data / "capture" / "model.ply").string(), {}, std::nullopt, Reporter::silent());
   const SrfManifest manifest = readManifest(*folder_ / "capsule.srf");
   const DeformableModel model = loadModel(*folder_ / "capsule.srf", manifest);
   DeformedModel deformed(model);
@@ -173,7 +173,7 @@ void realCapture(const fs::path& photographs, double least_iou) {
   const SrfManifest manifest = acquireField(capture, folder / "x.srf", options, Reporter::silent());
   EXPECT_TRUE(manifest.unknownIllumination());
   EXPECT_GE(meanIou(manifest), least_iou);
-  makeModel(folder / "x.srf", "hull", {}, Reporter::silent());
+  makeModel(folder / "x.srf", "hull", {}, std::nullopt, Reporter::silent());
   const AcquisitionMesh hull = readMesh(folder.path() / "x.srf" / manifest.shape("hull")->file);
   const Vec3 c = hull.bounds().center().raw();
   const double size = hull.bounds().diameter();

@@ -1,0 +1,117 @@
+#include "model/light_holdout.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/numeric.h"
+
+namespace srf {
+namespace {
+
+// As rendering has them by default (render/guided_interpolation.cpp).
+constexpr int kPlainLights = 4, kLitLights = 3;
+constexpr float kLowest = 0.08f;  // n.l of a light whose residual is used
+constexpr float kCosine = 0.1f, kMostRatio = 2;
+const double kFadeFrom = radians(34), kFadeTo = radians(52);
+
+}  // namespace
+
+void LightHoldout::transpose(const PointSamples& samples, const std::array<std::vector<float>, 3>& model,
+                             std::size_t lights) {
+  views_.clear();
+  for (const PointSamples::View& view : samples.views())
+    if (view.lights == lights) views_.push_back(&view);
+  const int count = samples.lights()[lights].count;
+  width_ = (static_cast<int>(views_.size()) * 3 + 7) / 8 * 8;
+  for (std::vector<float>* rows : {&value_, &model_, &residual_, &weight_})
+    rows->assign(static_cast<std::size_t>(width_) * count, 0.f);
+  const auto& inverse = samples.lights()[lights].inverse;
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    const float scale = std::sqrt(std::max(views_[v]->cosine, 0.f));
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < count; ++k) {
+        const int s = views_[v]->first + k;
+        const std::size_t to = static_cast<std::size_t>(k) * width_ + 3 * v + c;
+        const float usable = inverse[c][k] > 0 ? samples.usable()[s] : 0.f;
+        value_[to] = scale * samples.values()[c][s];
+        model_[to] = scale * model[c][s];
+        residual_[to] = usable * (value_[to] - model_[to]);
+        weight_[to] = usable;
+      }
+  }
+}
+
+HoldoutError LightHoldout::operator()(const FitInput& input, const PointSamples& samples,
+                                      const std::array<std::vector<float>, 3>& model) {
+  HoldoutError error;
+  for (std::size_t l = 0; l < samples.lights().size(); ++l) {
+    const PointSamples::Lights& lights = samples.lights()[l];
+    const LightLists::List& list = input.lists.lists[lights.list];
+    transpose(samples, model, l);
+    if (!list.distant) {
+      std::vector<Vec3> directions(lights.count);
+      std::vector<bool> known(lights.count);
+      for (int k = 0; k < lights.count; ++k) {
+        directions[k] = {lights.x[k], lights.y[k], lights.z[k]};
+        known[k] = directions[k] != Vec3{};
+      }
+      near_ = othersByAngle(directions, known);
+    }
+    const auto& others_of = list.distant ? list.others : near_;
+    for (int i = 0; i < lights.count; ++i) {
+      const auto& others = others_of[i];
+      if (others.empty()) continue;
+      candidates_.clear();
+      for (std::size_t k = 0; k < others.size() && k <= kPlainLights; ++k)
+        candidates_.push_back({others[k].angle, others[k].light});
+      lumigraphWeights(candidates_, kPlainLights, plain_);
+
+      const bool is_lit = lights.lit[i] > 0;
+      double nearest = 0;
+      lit_.clear();
+      if (is_lit) {
+        candidates_.clear();
+        for (const auto& other : others) {
+          if (!(lights.around[other.light] > 0 && lights.cosine[other.light] > kLowest)) continue;
+          if (candidates_.empty()) nearest = other.angle;
+          candidates_.push_back({other.angle, other.light});
+          if (candidates_.size() > kLitLights) break;
+        }
+        lumigraphWeights(candidates_, kLitLights, lit_);
+        const double fade = 1 - smoothstep(kFadeFrom, kFadeTo, nearest);
+        for (Weighted& w : lit_)
+          w.weight *= fade * std::min(kMostRatio, lights.cosine[i] / std::max(lights.cosine[w.source], kCosine));
+      }
+
+      plain_row_.assign(width_, 0.f), lit_row_.assign(width_, 0.f), indirect_row_.assign(width_, 0.f);
+      const auto add = [&](std::vector<float>& row, const std::vector<float>& from, std::size_t light, double weight) {
+        const float w = static_cast<float>(weight);
+        const float* values = &from[light * width_];
+        for (int x = 0; x < width_; ++x) row[x] += w * values[x];
+      };
+      for (const Weighted& w : plain_) {
+        add(plain_row_, value_, w.source, w.weight);
+        add(indirect_row_, lights.lit[w.source] > 0 ? residual_ : value_, w.source, w.weight);
+      }
+      for (const Weighted& w : lit_) add(lit_row_, residual_, w.source, w.weight);
+      if (is_lit) {
+        add(lit_row_, model_, i, 1);
+        add(indirect_row_, model_, i, 1);
+      }
+      const float* value = &value_[static_cast<std::size_t>(i) * width_];
+      const float* weight = &weight_[static_cast<std::size_t>(i) * width_];
+      float plain = 0, lit = 0, indirect = 0, square = 0;
+      for (int x = 0; x < width_; ++x) {
+        const float w = weight[x];
+        plain += w * (plain_row_[x] - value[x]) * (plain_row_[x] - value[x]);
+        lit += w * (lit_row_[x] - value[x]) * (lit_row_[x] - value[x]);
+        indirect += w * (indirect_row_[x] - value[x]) * (indirect_row_[x] - value[x]);
+        square += w * value[x] * value[x];
+      }
+      error.plain += plain, error.lit += lit, error.indirect += indirect, error.square += square;
+    }
+  }
+  return error;
+}
+
+}  // namespace srf

@@ -1,0 +1,37 @@
+// What interpolation would make of each captured image at a point were its light not there: plainly, and guided by the
+// fitted model. The difference decides where guidance is used.
+#pragma once
+
+#include "field/lumigraph_weights.h"
+#include "model/point_samples.h"
+
+namespace srf {
+
+/// Sums over the samples of a point, weighted by n.v.
+struct HoldoutError {
+  double plain = 0;     ///< squared error of the weights of M13
+  double lit = 0;       ///< of the model with the residual of the lights that light the point
+  double indirect = 0;  ///< of the model with the residual of all lights
+  double square = 0;    ///< of the samples
+};
+
+class LightHoldout {
+ public:
+  /// For the samples and their `model` values (PointSamples::evaluate).
+  HoldoutError operator()(const FitInput& input, const PointSamples& samples,
+                          const std::array<std::vector<float>, 3>& model);
+
+ private:
+  void transpose(const PointSamples& samples, const std::array<std::vector<float>, 3>& model, std::size_t lights);
+
+  std::vector<const PointSamples::View*> views_;
+  // Of the lights of one list, a row for each: channels of all its views, times sqrt(n.v).
+  int width_ = 0;
+  std::vector<float> value_, model_, residual_, weight_;
+  std::vector<std::vector<LightLists::List::Other>> near_;
+  std::vector<Penalised> candidates_;
+  std::vector<Weighted> plain_, lit_;
+  std::vector<float> plain_row_, lit_row_, indirect_row_;
+};
+
+}  // namespace srf

@@ -1,0 +1,287 @@
+#include "model/point_samples.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "base/half.h"
+#include "base/numeric.h"
+
+namespace srf {
+namespace {
+
+constexpr float kLeastLightCosine = 0.05f;  // n.l of a sample that is fitted to
+constexpr int kFewestSamples = 12;          // lit ones, for more than a Lambert term
+constexpr double kWorstCondition = 1e4;     // of the normal equations with columns of length 1
+// A sample next to an outline of shadow or occlusion may hold a pixel of the other side.
+constexpr float kOutlineShare = 0.05f;
+
+using Float8 = float __attribute__((vector_size(32)));
+
+Float8 eight(const float* from) {
+  Float8 v;
+  std::memcpy(&v, from, sizeof v);
+  return v;
+}
+double sum(const Float8& v) {
+  double s = 0;
+  for (int i = 0; i < 8; ++i) s += v[i];
+  return s;
+}
+
+// The sums of all samples, eight side by side: floats are enough for a few thousand samples.
+struct Sums {
+  std::array<NormalEquations<kModelTerms>, 3> equations;
+  double square = 0;  // of the values
+};
+Sums sums(const std::array<std::vector<float>, kModelTerms>& terms, const std::array<std::vector<float>, 3>& values,
+          const std::vector<float>& weights) {
+  Float8 matrix[10] = {}, right[3][kModelTerms] = {}, square = {};
+  const int count = static_cast<int>(weights.size());
+  for (int i = 0; i < count; i += 8) {
+    const Float8 w = eight(&weights[i]);
+    Float8 t[kModelTerms];
+    for (int k = 0; k < kModelTerms; ++k) t[k] = eight(&terms[k][i]);
+    int at = 0;
+    for (int k = 0; k < kModelTerms; ++k) {
+      const Float8 wt = w * t[k];
+      for (int j = 0; j <= k; ++j) matrix[at++] += wt * t[j];
+    }
+  }
+  for (int i = 0; i < count; i += 8) {
+    const Float8 w = eight(&weights[i]);
+    Float8 t[kModelTerms];
+    for (int k = 0; k < kModelTerms; ++k) t[k] = eight(&terms[k][i]);
+    for (int c = 0; c < 3; ++c) {
+      const Float8 s = eight(&values[c][i]), ws = w * s;
+      square += ws * s;
+      for (int k = 0; k < kModelTerms; ++k) right[c][k] += ws * t[k];
+    }
+  }
+  Sums result;
+  result.square = sum(square);
+  int at = 0;
+  for (int k = 0; k < kModelTerms; ++k)
+    for (int j = 0; j <= k; ++j, ++at)
+      for (auto& e : result.equations) e.matrix[k][j] = e.matrix[j][k] = sum(matrix[at]);
+  for (int c = 0; c < 3; ++c)
+    for (int k = 0; k < kModelTerms; ++k) result.equations[c].right[k] = sum(right[c][k]);
+  return result;
+}
+
+// Whether the samples tell the terms apart. Terms that are 0 everywhere do not count.
+bool wellConditioned(const NormalEquations<kModelTerms>& e) {
+  Eigen::Matrix4d m = Eigen::Matrix4d::Identity();
+  for (int k = 0; k < kModelTerms; ++k)
+    for (int j = 0; j < kModelTerms; ++j)
+      if (k != j && e.matrix[k][k] > 0 && e.matrix[j][j] > 0)
+        m(k, j) = e.matrix[k][j] / std::sqrt(e.matrix[k][k] * e.matrix[j][j]);
+  const auto values = Eigen::SelfAdjointEigenSolver<Eigen::Matrix4d>(m, Eigen::EigenvaluesOnly).eigenvalues();
+  return values[0] * kWorstCondition >= values[kModelTerms - 1];
+}
+
+}  // namespace
+
+std::vector<std::vector<LightLists::List::Other>> othersByAngle(const std::vector<Vec3>& directions,
+                                                                const std::vector<bool>& known) {
+  using Other = LightLists::List::Other;
+  std::vector<std::vector<Other>> others(directions.size());
+  for (std::uint32_t i = 0; i < directions.size(); ++i) {
+    if (!known[i]) continue;
+    for (std::uint32_t j = 0; j < directions.size(); ++j)
+      if (j != i && known[j]) others[i].push_back({j, angleBetweenUnit(directions[i], directions[j])});
+    const auto kept = std::min<std::size_t>(others[i].size(), LightLists::List::kOthers);
+    std::partial_sort(
+        others[i].begin(), others[i].begin() + static_cast<std::ptrdiff_t>(kept), others[i].end(),
+        [](const Other& a, const Other& b) { return a.angle != b.angle ? a.angle < b.angle : a.light < b.light; });
+    others[i].resize(kept);
+  }
+  return others;
+}
+
+LightLists::LightLists(const SrfManifest& field) {
+  for (const StoredView& view : field.views) {
+    const auto same = std::find_if(lists.begin(), lists.end(), [&](const List& l) { return l.ids == view.lights; });
+    of_view.push_back(static_cast<std::uint32_t>(same - lists.begin()));
+    if (same != lists.end()) continue;
+    List list;
+    list.ids = view.lights;
+    std::vector<Vec3> directions;
+    std::vector<bool> known;
+    for (const LightId id : list.ids) {
+      const CaptureLight& light = field.lights[id.value];
+      list.distant = list.distant && light.kind != LightKind::point;
+      directions.push_back(light.direction.raw());
+      known.push_back(light.kind != LightKind::captured);
+    }
+    if (list.distant) list.others = othersByAngle(directions, known);
+    lists.push_back(std::move(list));
+  }
+}
+
+void PointSamples::load(const FitInput& input, std::size_t i, const Direction<AcquisitionSpace>& normal) {
+  const Point<AcquisitionSpace>& p = input.model.p0[i];
+  views_.clear();
+  std::size_t used = 0;  // of lights_, whose memory stays
+  samples_ = 0;
+  for (const FitSamples::PointView& at : input.samples.views(i)) {
+    const std::uint32_t list = input.lists.of_view[at.view];
+    std::size_t which = 0;
+    while (which < used && lights_[which].list != list) ++which;
+    if (which == used) {
+      if (used == lights_.size()) lights_.emplace_back();
+      Lights& l = lights_[used++];
+      l.list = list;
+      const std::vector<LightId>& ids = input.lists.lists[list].ids;
+      l.count = static_cast<int>(ids.size());
+      l.pad = (l.count + 7) / 8 * 8;
+      for (std::vector<float>* row :
+           {&l.x, &l.y, &l.z, &l.cosine, &l.lit, &l.around, &l.inverse[0], &l.inverse[1], &l.inverse[2]})
+        row->assign(l.pad, 0.f);
+      for (int k = 0; k < l.count; ++k) {
+        const CaptureLight& light = input.field.lights[ids[k].value];
+        if (light.kind == LightKind::captured) continue;
+        const Direction<AcquisitionSpace> direction = light.directionFrom(p);
+        l.x[k] = static_cast<float>(direction.raw().x);
+        l.y[k] = static_cast<float>(direction.raw().y);
+        l.z[k] = static_cast<float>(direction.raw().z);
+        l.cosine[k] = static_cast<float>(dot(normal, direction));
+        l.lit[k] = l.cosine[k] > 0 && input.visibility.lit.get(i, ids[k].value);
+        l.around[k] = l.lit[k] > 0 && input.visibility.lit_around.get(i, ids[k].value);
+        const Vec3 irradiance = light.irradianceAt(p);
+        for (int c = 0; c < 3; ++c) l.inverse[c][k] = irradiance[c] > 0 ? static_cast<float>(1 / irradiance[c]) : 0.f;
+      }
+    }
+    View view;
+    view.view = at.view;
+    const Direction<AcquisitionSpace> direction = input.field.views[at.view].camera.viewDirection(p);
+    for (int c = 0; c < 3; ++c) view.direction[c] = static_cast<float>(direction.raw()[c]);
+    view.cosine = static_cast<float>(dot(normal, direction));
+    view.lights = static_cast<std::uint32_t>(which);
+    view.first = samples_;
+    view.around = input.visibility.seen_around.get(i, at.view);
+    views_.push_back(view);
+    samples_ += lights_[which].pad;
+  }
+  lights_.resize(used);
+
+  const float saturation = static_cast<float>(std::min(input.samples.saturation(), 1e30));
+  for (auto& row : values_) row.resize(samples_);
+  usable_.assign(samples_, 1.f);
+  std::size_t at = 0;
+  for (const FitSamples::PointView& from : input.samples.views(i)) {
+    const View& view = views_[at++];
+    const Lights& l = lights_[view.lights];
+    for (int c = 0; c < 3; ++c) {
+      float* row = &values_[c][view.first];
+      floatsFromHalves(input.samples.values(from) + c * l.pad, row, l.pad);
+      for (int k = 0; k < l.pad; ++k) {
+        if (row[k] >= saturation) usable_[view.first + k] = 0;
+        row[k] *= l.inverse[c][k];
+      }
+    }
+    for (int k = l.count; k < l.pad; ++k) usable_[view.first + k] = 0;
+  }
+  setWeights();
+}
+
+// Relative errors count, of dim samples those relative to the point's own brightness; what a slanted view sees is
+// spread over few pixels.
+void PointSamples::setWeights() {
+  weights_.assign(samples_, 0.f);
+  lit_samples_ = 0;
+  double square = 0;
+  for (const View& view : views_) {
+    const Lights& l = lights_[view.lights];
+    for (int k = 0; k < l.count; ++k) {
+      const int s = view.first + k;
+      if (!(l.lit[k] > 0 && l.cosine[k] > kLeastLightCosine && usable_[s] > 0)) continue;
+      const float value = (values_[0][s] + values_[1][s] + values_[2][s]) / 3;
+      weights_[s] = 1;
+      square += double{value} * value;
+      ++lit_samples_;
+    }
+  }
+  const float rms = lit_samples_ > 0 ? static_cast<float>(std::sqrt(square / lit_samples_)) : 0.f;
+  for (const View& view : views_) {
+    const Lights& l = lights_[view.lights];
+    for (int k = 0; k < l.pad; ++k) {
+      const int s = view.first + k;
+      const float scale = (values_[0][s] + values_[1][s] + values_[2][s]) / 6 + rms / 2;
+      const float outline = l.around[k] > 0 && view.around ? 1.f : kOutlineShare;
+      weights_[s] =
+          weights_[s] > 0 && scale > 0 ? std::max(view.cosine, 0.f) * outline / (scale * std::sqrt(scale)) : 0.f;
+    }
+  }
+}
+
+void PointSamples::terms(const PointReflectance& point) {
+  for (auto& row : terms_) row.resize(samples_);
+  for (const View& view : views_) {
+    const Lights& l = lights_[view.lights];
+    modelTerms(point, view.direction, {l.x.data(), l.y.data(), l.z.data(), l.count},
+               {&terms_[0][view.first], &terms_[1][view.first], &terms_[2][view.first], &terms_[3][view.first]});
+  }
+}
+
+double PointSamples::solve(PointReflectance& point, const std::vector<float>& weights, bool lambert_only) {
+  const Sums s = sums(terms_, values_, weights);
+  const unsigned usable = lambert_only || !wellConditioned(s.equations[0]) ? 1u : (1u << kModelTerms) - 1;
+  double error = s.square;
+  for (int c = 0; c < 3; ++c) {
+    const NormalEquations<kModelTerms>& e = s.equations[c];
+    const auto x = nonnegativeLeastSquares(e, usable);
+    for (int k = 0; k < kModelTerms; ++k) {
+      point.coefficient[k][c] = static_cast<float>(x[k]);
+      error -= 2 * x[k] * e.right[k];
+      for (int j = 0; j < kModelTerms; ++j) error += x[k] * x[j] * e.matrix[k][j];
+    }
+  }
+  return s.square > 0 ? std::max(error, 0.0) / s.square : 0;
+}
+
+double PointSamples::fit(PointReflectance& point, int rounds) {
+  point.coefficient = {};
+  if (lit_samples_ == 0) return 0;
+  terms(point);
+  const bool lambert_only = lit_samples_ < kFewestSamples;
+  const double error = solve(point, weights_, lambert_only);
+  for (int round = 1; round < rounds; ++round) {
+    error_.resize(samples_), robust_.resize(samples_);
+    double total = 0;
+    for (int s = 0; s < samples_; ++s) {
+      float e = 0;
+      for (int c = 0; c < 3; ++c) {
+        float model = 0;
+        for (int k = 0; k < kModelTerms; ++k) model += point.coefficient[k][c] * terms_[k][s];
+        e += std::fabs(values_[c][s] - model);
+      }
+      error_[s] = e / 3;
+      total += weights_[s] > 0 ? error_[s] : 0.f;
+    }
+    const float mean = static_cast<float>(total / lit_samples_);
+    for (int s = 0; s < samples_; ++s) {
+      const float value = (values_[0][s] + values_[1][s] + values_[2][s]) / 3;
+      const float scale = 2.5f * mean + 0.1f * value;
+      const float ratio = scale > 0 ? error_[s] / scale : 0.f;
+      robust_[s] = weights_[s] / (1 + ratio * ratio);
+    }
+    solve(point, robust_, lambert_only);
+  }
+  return error;
+}
+
+void PointSamples::evaluate(const PointReflectance& point, std::array<std::vector<float>, 3>& model) {
+  terms(point);
+  for (int c = 0; c < 3; ++c) {
+    model[c].resize(samples_);
+    for (int s = 0; s < samples_; ++s) {
+      float value = 0;
+      for (int k = 0; k < kModelTerms; ++k) value += point.coefficient[k][c] * terms_[k][s];
+      model[c][s] = value;
+    }
+  }
+}
+
+}  // namespace srf

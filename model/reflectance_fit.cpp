@@ -1,0 +1,181 @@
+#include "model/reflectance_fit.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <numeric>
+#include <random>
+
+#include "base/numeric.h"
+#include "base/parallel.h"
+#include "model/captured_visibility.h"
+#include "model/light_holdout.h"
+#include "model/point_samples.h"
+
+namespace srf {
+namespace {
+
+constexpr std::size_t kChunk = 64;          // points
+constexpr int kFewestLights = 8;            // of known direction
+constexpr std::size_t kSearchPoints = 900;  // that tell the roughness
+constexpr int kFewestSearchSamples = 24;    // lit ones, of such a point
+constexpr int kRounds = 3;                  // of robust weights
+constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
+
+std::array<float, 3> floats(const Vec3& v) {
+  return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)};
+}
+
+void setFrame(PointReflectance& point, const Direction<AcquisitionSpace>& normal, double tangent_angle) {
+  const Vec3 u = anyPerpendicular(normal).raw(), v = cross(normal.raw(), u);
+  point.normal = floats(normal.raw());
+  point.tangent = floats(std::cos(tangent_angle) * u + std::sin(tangent_angle) * v);
+}
+
+struct Roughness {
+  float x = 0.3f, y = 0.3f;
+  friend bool operator==(const Roughness&, const Roughness&) = default;
+};
+
+// Points whose samples tell the roughness, held in memory.
+struct SearchPoint {
+  Direction<AcquisitionSpace> normal;
+  PointSamples samples;
+};
+
+std::vector<SearchPoint> searchPoints(const FitInput& input, std::span<const Direction<AcquisitionSpace>> normals) {
+  std::vector<std::uint32_t> order(input.model.size());
+  std::iota(order.begin(), order.end(), 0u);
+  std::mt19937_64 random(1);
+  std::vector<SearchPoint> found;
+  for (std::size_t tried = 0; tried < order.size() && found.size() < kSearchPoints; ++tried) {
+    std::swap(order[tried], order[tried + random() % (order.size() - tried)]);
+    const std::uint32_t i = order[tried];
+    if (input.samples.views(i).size() < 1) continue;
+    SearchPoint point{normals[i], {}};
+    point.samples.load(input, i, normals[i]);
+    if (point.samples.litSamples() >= kFewestSearchSamples) found.push_back(std::move(point));
+  }
+  return found;
+}
+
+// Mean over the points of the share of the samples that the model leaves unexplained.
+double searchError(std::vector<SearchPoint>& points, const Roughness& roughness) {
+  std::vector<double> errors(points.size(), 0);
+  parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      PointReflectance tried;
+      setFrame(tried, points[i].normal, 0);
+      tried.alpha_x = roughness.x, tried.alpha_y = roughness.y;
+      errors[i] = points[i].samples.fit(tried, 1);
+    }
+  });
+  return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(errors.size());
+}
+
+// The least of a function of the logarithm of alpha: eight values, then the better of two around the best, ever closer.
+float searchAlpha(const std::function<double(float)>& error) {
+  constexpr int kValues = 8, kRefinements = 4;
+  const double first = std::log(0.04), last = std::log(0.8);
+  double step = (last - first) / (kValues - 1), best = 0, least = std::numeric_limits<double>::infinity();
+  const auto consider = [&](double at) {
+    const double e = error(static_cast<float>(std::exp(at)));
+    if (e < least) least = e, best = at;
+  };
+  for (int k = 0; k < kValues; ++k) consider(first + k * step);
+  for (int k = 0; k < kRefinements; ++k) {
+    step /= 2;
+    const double middle = best;
+    consider(middle - step);
+    consider(middle + step);
+  }
+  return std::clamp(static_cast<float>(std::exp(best)), kLeastAlpha, kMostAlpha);
+}
+
+}  // namespace
+
+std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_folder, const SrfManifest& field,
+                                             const DeformableModel& model, const FitOptions& options,
+                                             Reporter& reporter) {
+  const auto known = std::count_if(field.lights.begin(), field.lights.end(),
+                                   [](const CaptureLight& light) { return light.kind != LightKind::captured; });
+  if (known < kFewestLights) {
+    reporter.info("no reflectance model: " + std::to_string(known) + " lights of known direction, " +
+                  std::to_string(kFewestLights) + " are needed; interpolation stays plain");
+    return std::nullopt;
+  }
+  std::vector<Direction<AcquisitionSpace>> normals;
+  for (const Vec3& r0 : model.r0)
+    normals.push_back(Direction<AcquisitionSpace>::fromUnit(rotationFromRodrigues(r0).raw().column(2)));
+
+  const FitSamples samples(srf_folder, field, model, normals, {options.memory_bytes, options.most_views}, reporter);
+  CapturedVisibility visibility = castCapturedVisibility(field, model, normals, reporter);
+  const LightLists lists(field);
+  const FitInput input{field, model, lists, samples, visibility};
+
+  Roughness roughness;
+  {
+    std::vector<SearchPoint> points = searchPoints(input, normals);
+    if (points.empty()) {
+      reporter.info("no reflectance model: no point has samples enough; interpolation stays plain");
+      return std::nullopt;
+    }
+    Reporter::Stage stage(reporter, "fit: roughness", 16);
+    const float alpha = searchAlpha([&](float tried) {
+      const double e = searchError(points, {tried, tried});
+      reporter.debug("fit: alpha " + std::to_string(tried) + ": " + std::to_string(e));
+      stage.advance();
+      return e;
+    });
+    roughness = {alpha, alpha};
+  }
+
+  ReflectanceFit fit;
+  fit.points.resize(model.size());
+  std::vector<HoldoutError> errors(model.size());
+  {
+    Reporter::Stage stage(reporter, "fit: coefficients", model.size());
+    parallelFor(model.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+      PointSamples point;
+      LightHoldout hold_out;
+      std::array<std::vector<float>, 3> values;
+      for (std::size_t i = begin; i < end; ++i) {
+        FittedPoint& fitted = fit.points[i];
+        setFrame(fitted.reflectance, normals[i], 0);
+        fitted.reflectance.alpha_x = roughness.x, fitted.reflectance.alpha_y = roughness.y;
+        point.load(input, i, normals[i]);
+        if (point.litSamples() == 0) continue;
+        point.fit(fitted.reflectance, kRounds);
+        point.evaluate(fitted.reflectance, values);
+        HoldoutError& e = errors[i] = hold_out(input, point, values);
+        const double plain = std::sqrt(e.plain), lit = std::sqrt(e.lit), indirect = std::sqrt(e.indirect);
+        // The residual of all lights only where it is clearly the better one.
+        fitted.indirect = lit > 0 ? static_cast<float>(smoothstep(0, 0.1, 1 - indirect / lit)) : 0.f;
+        const double guided = lerp(lit, indirect, fitted.indirect);
+        // Never worse than plain: 1 where guidance helps by 10 %, 0 where it harms by 5 %.
+        fitted.gate = plain > 0 ? static_cast<float>(smoothstep(0, 1, (1.05 * plain - guided) / (0.15 * plain))) : 0.f;
+      }
+      stage.advance(end - begin);
+    });
+  }
+  double plain = 0, guided = 0, square = 0;
+  for (std::size_t i = 0; i < model.size(); ++i) {
+    const double g = fit.points[i].gate, indirect = fit.points[i].indirect;
+    plain += errors[i].plain;
+    guided += lerp(errors[i].plain, lerp(errors[i].lit, errors[i].indirect, indirect), g);
+    square += errors[i].square;
+  }
+  if (square > 0) fit.error_plain = std::sqrt(plain / square), fit.error_guided = std::sqrt(guided / square);
+  fit.lit_by_rays = visibility.lit;
+  fit.lit = std::move(visibility.lit);
+  fit.lit_around = std::move(visibility.lit_around);
+  fit.seen_around = std::move(visibility.seen_around);
+  reporter.figure("fit.error_plain", fit.error_plain);
+  reporter.figure("fit.error_guided", fit.error_guided);
+  reporter.figure("fit.alpha_x", roughness.x);
+  reporter.figure("fit.alpha_y", roughness.y);
+  return fit;
+}
+
+}  // namespace srf
