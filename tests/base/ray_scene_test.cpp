@@ -10,6 +10,7 @@
 #include "base/numeric.h"
 #include "base/parallel.h"
 #include "tests/model/test_shapes.h"
+#include "tests/support/hard_case.h"
 
 namespace srf {
 namespace {
@@ -245,8 +246,10 @@ TEST(RayScene, NoRaySlipsThroughAnEdgeOrAVertex) {
         }
       }
     });
-    EXPECT_EQ(std::accumulate(leaks.begin(), leaks.end(), std::size_t{0}), 0u)
-        << "shape " << shape << " of " << 2 * kChunk * chunks << " rays";
+    static const char* const kShapes[] = {"sphere", "torus", "flat ball"};
+    test::recordHardCase(24, std::string(kShapes[shape]) + ", rays at edges and vertices from both sides: leaks",
+                         static_cast<double>(std::accumulate(leaks.begin(), leaks.end(), std::size_t{0})),
+                         test::atMost(0));
   }
 }
 

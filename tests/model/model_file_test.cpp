@@ -8,6 +8,7 @@
 #include "model/deformable_model.h"
 #include "model/deformed_model.h"
 #include "tests/model/test_shapes.h"
+#include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
 
 namespace srf {
@@ -77,12 +78,15 @@ TEST(Visibility, AgreesWithTheSphereItself) {
   const AcquisitionMesh mesh = test::sphere(16);
   const SrfManifest field = fieldAround(40);
   const DeformableModel model = build(mesh, ModelKind::mesh, field);
+  double speckles = 0;
   for (std::size_t i = 0; i < model.size(); ++i)
     for (std::size_t v = 0; v < field.views.size(); ++v) {
       const double cosine = dot(mesh.normals[i], field.views[v].camera.viewDirection(model.p0[i]));
-      ASSERT_TRUE(cosine <= 0.021 || model.visible.get(i, v)) << cosine;
-      ASSERT_TRUE(cosine >= 0.019 || !model.visible.get(i, v)) << cosine;
+      speckles += cosine > 0.021 && !model.visible.get(i, v);
+      speckles += cosine < 0.019 && model.visible.get(i, v);
     }
+  test::recordHardCase(23, "sphere, 40 views down to grazing: points seen or hidden against the formula", speckles,
+                       test::atMost(0));
 }
 
 TEST(Visibility, TheTorusHidesItsFarSide) {
@@ -117,12 +121,15 @@ TEST(Visibility, ShrinksMonotonicallyWithTheBias) {
   const AcquisitionMesh mesh = test::torus(60, 30);
   const SrfManifest field = fieldAround(20);
   std::vector<std::uint64_t> before;
+  double appeared = 0;
   for (const double bias : {3e-1, 1e-1, 1e-2, 1e-3, 1e-4}) {
     const DeformableModel model = build(mesh, ModelKind::mesh, field, bias);
     const auto& words = model.visible.words();
-    for (std::size_t i = 0; i < before.size(); ++i) ASSERT_EQ(words[i] & ~before[i], 0u);
+    for (std::size_t i = 0; i < before.size(); ++i) appeared += __builtin_popcountll(words[i] & ~before[i]);
     before = words;
   }
+  test::recordHardCase(23, "visibility bias shrunk from 0.3 to 1e-4: points that a smaller bias makes visible",
+                       appeared, test::atMost(0));
 }
 
 TEST(Visibility, IsTheSameAtEveryScaleAndOffset) {

@@ -52,7 +52,7 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
     light.direction = Direction<AcquisitionSpace>::fromUnit(d);
     if (options.near_lights) {
       light.kind = LightKind::point;
-      light.position = Point<AcquisitionSpace>(3 * d);
+      light.position = Point<AcquisitionSpace>(options.middle + 3 * options.radius * d);
       light.strength = {9, 9, 9};
     }
     manifest.lights.push_back(light);
@@ -63,7 +63,8 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
     view.camera.lens = pinholeFromFov(options.size, options.size, 33);
     const Vec3 eye = options.view_distance * fibonacci(i, options.views);
     const Vec3 up = std::fabs(eye.z) < 0.95 * options.view_distance ? Vec3{0, 0, 1} : Vec3{1, 0, 0};
-    view.camera.pose = *lookAt(Point<AcquisitionSpace>(eye), Point<AcquisitionSpace>(), Vector<AcquisitionSpace>(up));
+    view.camera.pose = *lookAt(Point<AcquisitionSpace>(options.middle + options.radius * eye),
+                               Point<AcquisitionSpace>(options.middle), Vector<AcquisitionSpace>(up));
     for (int j = 0; j < options.lights; ++j) view.lights.push_back(LightId{static_cast<std::uint32_t>(j)});
 
     StoreGeometry geometry;
@@ -76,14 +77,14 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
     for (int y = 0; y < options.size; ++y)
       for (int x = 0; x < options.size; ++x) {
         const auto ray = view.camera.ray({x + 0.5, y + 0.5});
-        const Vec3 o = ray->origin.raw(), d = ray->direction.raw();
+        const Vec3 o = eye, d = ray->direction.raw();  // in radii about the middle
         const double b = dot(o, d), root = b * b - (dot(o, o) - 1);
         if (root <= 0) continue;
         const Vec3 p = o + (-b - std::sqrt(root)) * d;
         coverage.at(x, y) = 255;
         auto& tile = tiles[static_cast<std::size_t>(y / kTile) * geometry.tiles_x + x / kTile];
         std::uint16_t* texel = tile.data() + ((y % kTile) * kTile + x % kTile) * geometry.texelHalves();
-        const Point<AcquisitionSpace> point(p);
+        const Point<AcquisitionSpace> point(options.middle + options.radius * p);
         for (int j = 0; j < options.lights; ++j) {
           const CaptureLight& light = manifest.lights[j];
           const Vec3 radiance = reflectance(p, light.directionFrom(point).raw(), -d) * light.irradianceAt(point);
@@ -99,7 +100,9 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
     manifest.views.push_back(view);
   }
   writeManifest(srf_folder, manifest);
-  field.model = buildModel(unitSphere(options.subdivision), "sphere", 1e-6, manifest, {}, Reporter::silent());
+  AcquisitionMesh sphere = unitSphere(options.subdivision);
+  for (auto& p : sphere.positions) p = Point<AcquisitionSpace>(options.middle + options.radius * p.raw());
+  field.model = buildModel(sphere, "sphere", 1e-6 * options.radius, manifest, options.model, Reporter::silent());
   return field;
 }
 

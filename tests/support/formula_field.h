@@ -10,7 +10,7 @@
 
 namespace srf::test {
 
-/// Reflectance (1/sr, cosine inside) of the surface point p = normal of the unit sphere.
+/// Reflectance (1/sr, cosine inside) of the surface point whose normal is p: p0 itself for the unit sphere.
 using ReflectanceFormula = std::function<Vec3(const Vec3& p, const Vec3& l, const Vec3& v)>;
 
 struct FormulaFieldOptions {
@@ -19,6 +19,9 @@ struct FormulaFieldOptions {
   int subdivision = 5;          ///< of an octahedron: 8 * 4^n triangles
   double view_distance = 4;
   bool near_lights = false;  ///< point lights at distance 3 instead of directional ones
+  Vec3 middle;               ///< of the sphere in acquisition space
+  double radius = 1;         ///< of it; distances above are in radii
+  ModelOptions model;
 };
 
 struct FormulaField {
