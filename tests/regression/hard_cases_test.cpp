@@ -557,7 +557,10 @@ TEST(HardCaseRays, OverlappingSurfacesAreMetAlikeByAnyNumberOfThreads) {
     std::vector<std::vector<SplatHit>> splats(rays.size());
     parallelFor(rays.size(), 64, [&](std::size_t begin, std::size_t end) {
       of_triangles.intersect(std::span(rays).subspan(begin, end - begin), std::span(hits).subspan(begin, end - begin));
-      for (std::size_t i = begin; i < end; ++i) of_splats.gatherSplats(rays[i], 0.1, splats[i]);
+      SplatLists lists;
+      of_splats.gatherSplats(std::span(rays).subspan(begin, end - begin), 0.5, lists);
+      for (std::size_t i = begin; i < end; ++i)
+        splats[i].assign(lists.of(i - begin).begin(), lists.of(i - begin).end());
     });
     if (want.empty()) {
       want = hits, want_splats = splats;
