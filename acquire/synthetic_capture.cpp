@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <span>
 
+#include "acquire/synthetic_indirect.h"
 #include "base/image_io.h"
 #include "base/json.h"
 #include "base/mesh_io.h"
@@ -55,7 +56,7 @@ class KeyedRandom {
   }
   std::uint64_t state_ = 0;
 };
-enum RandomStream : std::uint64_t { kNoiseStream = 1, kExposureStream, kMaskStream };
+enum RandomStream : std::uint64_t { kNoiseStream = 1, kExposureStream, kMaskStream, kMissingStream };
 
 Vec3 fibonacci(int i, int count, double turn) {
   const double z = 1 - (2.0 * i + 1) / count, r = std::sqrt(1 - z * z), a = kGoldenAngle * i + turn;
@@ -108,6 +109,24 @@ CaptureLight rigLight(const SyntheticCaptureOptions& options, int index, const M
   return light;
 }
 
+// Leaves photographs out at random, but of no view and of no light the last one.
+void leaveOut(const SyntheticCaptureOptions& options, Capture& capture) {
+  std::vector<int> of_light(capture.lights.size(), 0);
+  for (const CaptureView& view : capture.views)
+    for (const Photo& photo : view.photos) ++of_light[photo.light->value];
+  for (std::size_t v = 0; v < capture.views.size(); ++v) {
+    std::vector<Photo>& photos = capture.views[v].photos;
+    std::size_t left = photos.size();
+    std::erase_if(photos, [&](const Photo& photo) {
+      int& others = of_light[photo.light->value];
+      const bool out = KeyedRandom{options.seed, kMissingStream, v, photo.light->value}.uniform() < options.missing;
+      if (!out || others == 1 || left == 1) return false;
+      --others, --left;
+      return true;
+    });
+  }
+}
+
 // Cameras, lights, and which photograph shows what.
 Capture layOut(const SyntheticCaptureOptions& options, double radius, const fs::path& folder) {
   const bool turntable = options.rig == SyntheticRig::turntable;
@@ -154,6 +173,7 @@ Capture layOut(const SyntheticCaptureOptions& options, double radius, const fs::
     }
     capture.views.push_back(std::move(view));
   }
+  leaveOut(options, capture);
   return capture;
 }
 
@@ -165,11 +185,29 @@ struct ExactView {
 
 class Photographer {
  public:
-  Photographer(const SyntheticObject& object, const AcquisitionMesh& mesh)
-      : object_(object), scene_(RayScene<AcquisitionSpace>::ofTriangles(mesh.positions, mesh.triangles)) {}
+  Photographer(const SyntheticObject& object, const AcquisitionMesh& mesh, std::span<const CaptureLight> lights)
+      : object_(object),
+        lights_(lights),
+        scene_(RayScene<AcquisitionSpace>::ofTriangles(mesh.positions, mesh.triangles)) {
+    if (object.material() == SyntheticMaterial::glass)
+      casters_ = RayScene<AcquisitionSpace>::ofTriangles(mesh.positions, object.casters(mesh));
+    if (object.transport() == SyntheticTransport::direct) return;
+    indirect_.emplace(object);
+    std::vector<Sample> probes;
+    for (const auto& p : indirect_->probes()) {
+      const ShadingPoint point = object.shadingPoint(p);
+      probes.push_back({0, 1, point, point.normal, {}});
+    }
+    indirect_->solve(lights.size(), [&](std::size_t l) {
+      std::vector<Vec3> irradiance(probes.size());
+      illuminate(probes, lights_[l],
+                 [&](std::size_t i, const Direction<AcquisitionSpace>&, const Vec3& e) { irradiance[i] = e; });
+      return irradiance;
+    });
+  }
 
-  ExactView take(const Camera<AcquisitionSpace>& camera, std::span<const CaptureLight> lights,
-                 int supersampling) const {
+  /// `lights`: of the list given at construction.
+  ExactView take(const Camera<AcquisitionSpace>& camera, std::span<const LightId> lights, int supersampling) const {
     const int width = camera.lens.width, height = camera.lens.height, n = supersampling;
     ExactView view;
     view.photos.assign(lights.size(), ImageF(width, height, 3));
@@ -183,42 +221,53 @@ class Photographer {
  private:
   struct Sample {
     int x;
+    double weight;
     ShadingPoint point;
     Direction<AcquisitionSpace> view;
+    IndirectLight::Place place;
   };
 
-  void takeRow(const Camera<AcquisitionSpace>& camera, std::span<const CaptureLight> lights, int n, int y,
+  void takeRow(const Camera<AcquisitionSpace>& camera, std::span<const LightId> lights, int n, int y,
                ExactView& out) const {
     const std::vector<Sample> samples = meetRow(camera, n, y, out.inside);
     if (samples.empty()) return;
-    std::vector<std::size_t> lit;
-    std::vector<Ray<AcquisitionSpace>> rays;
-    std::vector<double> far;
-    std::vector<std::uint8_t> blocked;
     std::vector<Vec3> sum(camera.lens.width);
     for (std::size_t l = 0; l < lights.size(); ++l) {
-      const CaptureLight& light = lights[l];
-      lit.clear(), rays.clear(), far.clear();
-      for (std::size_t i = 0; i < samples.size(); ++i) {
-        const ShadingPoint& at = samples[i].point;
-        const auto direction = light.directionFrom(at.p);
-        if (dot(at.normal, direction) <= 0) continue;
-        lit.push_back(i);
-        rays.push_back({at.p + kShadowOffset * at.normal, direction});
-        far.push_back(light.kind == LightKind::point ? distance(light.position, at.p) : INFINITY);
-      }
-      blocked.assign(rays.size(), 0);
-      if (!object_.convex()) scene_.occluded(rays, far, 0, blocked);  // a convex object casts no shadow on itself
       std::fill(sum.begin(), sum.end(), Vec3{});
-      for (std::size_t k = 0; k < lit.size(); ++k) {
-        if (blocked[k]) continue;
-        const Sample& s = samples[lit[k]];
-        const auto& direction = rays[k].direction;
-        sum[s.x] += dot(s.point.normal, direction) * (brdf(s.point, direction, s.view) * light.irradianceAt(s.point.p));
-      }
+      illuminate(samples, lights_[lights[l].value],
+                 [&](std::size_t i, const Direction<AcquisitionSpace>& direction, const Vec3& irradiance) {
+                   const Sample& s = samples[i];
+                   sum[s.x] += s.weight * (brdf(s.point, direction, s.view) * irradiance);
+                 });
+      if (indirect_)
+        for (const Sample& s : samples)
+          sum[s.x] += (1 / kPi) * (s.point.albedo * indirect_->at(s.place, lights[l].value));
       float* row = out.photos[l].row(y);
       for (int x = 0; x < camera.lens.width; ++x)
         for (int c = 0; c < 3; ++c) row[3 * x + c] = static_cast<float>(sum[x][c] / (n * n));
+    }
+  }
+
+  // Calls use(sample, direction, irradiance on the surface there) for each sample that the light reaches.
+  template <class Use>
+  void illuminate(const std::vector<Sample>& samples, const CaptureLight& light, const Use& use) const {
+    std::vector<std::size_t> lit;
+    std::vector<Ray<AcquisitionSpace>> rays;
+    std::vector<double> far;
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      const ShadingPoint& at = samples[i].point;
+      const auto direction = light.directionFrom(at.p);
+      if (dot(at.normal, direction) <= 0) continue;
+      lit.push_back(i);
+      rays.push_back({at.p + kShadowOffset * at.normal, direction});
+      far.push_back(light.kind == LightKind::point ? distance(light.position, at.p) : INFINITY);
+    }
+    std::vector<std::uint8_t> blocked(rays.size(), 0);
+    if (!object_.convex()) (casters_ ? *casters_ : scene_).occluded(rays, far, 0, blocked);
+    for (std::size_t k = 0; k < lit.size(); ++k) {
+      if (blocked[k]) continue;
+      const ShadingPoint& at = samples[lit[k]].point;
+      use(lit[k], rays[k].direction, dot(at.normal, rays[k].direction) * light.irradianceAt(at.p));
     }
   }
 
@@ -241,13 +290,18 @@ class Photographer {
       // A ray that passes the surface within the tessellation's error is taken at the nearest point.
       const auto p = exact ? *exact : object_.project(rays[i].origin + double{hits[i].distance} * rays[i].direction);
       inside.at(static_cast<int>(pixel[i].x * n), static_cast<int>(pixel[i].y * n)) = 1;
-      samples.push_back({static_cast<int>(pixel[i].x), object_.shadingPoint(p), camera.viewDirection(p)});
+      for (const auto& [point, view, weight] : object_.seenAt(p, camera.viewDirection(p)))
+        samples.push_back({static_cast<int>(pixel[i].x), weight, point, view,
+                           indirect_ ? indirect_->place(point.p, point.normal) : IndirectLight::Place{}});
     }
     return samples;
   }
 
   const SyntheticObject& object_;
+  std::span<const CaptureLight> lights_;
   RayScene<AcquisitionSpace> scene_;
+  std::optional<RayScene<AcquisitionSpace>> casters_;  // where they are fewer
+  std::optional<IndirectLight> indirect_;
 };
 
 Image8 coverageOf(const Image8& inside, int n) {
@@ -323,6 +377,7 @@ Json description(const SyntheticCaptureOptions& o) {
   json["version"] = 1;
   json["object"] = syntheticShapeNames()[static_cast<std::size_t>(o.shape)];
   json["material"] = syntheticMaterialNames()[static_cast<std::size_t>(o.material)];
+  json["interreflection"] = o.interreflection;
   json["rig"] = syntheticRigNames()[static_cast<std::size_t>(o.rig)];
   json["light_type"] = o.light_kind == LightKind::point ? "point" : "directional";
   json["views"] = o.views, json["lights"] = o.lights, json["size"] = o.size, json["supersampling"] = o.supersampling;
@@ -383,13 +438,13 @@ void writeView(const SyntheticCaptureOptions& options, const Photographer& photo
   const std::size_t at_once = std::max<std::size_t>(kPhotoMemory / photo_bytes, 1);
   for (std::size_t first = 0; first < view.photos.size(); first += at_once) {
     const auto photos = std::span(view.photos).subspan(first, std::min(at_once, view.photos.size() - first));
-    std::vector<CaptureLight> lights;
-    for (const Photo& photo : photos) lights.push_back(capture.lights[photo.light->value]);
+    std::vector<LightId> lights;
+    for (const Photo& photo : photos) lights.push_back(*photo.light);
     ExactView exact = photographer.take(view.camera, lights, options.supersampling);
     if (first == 0) writePng(view.mask_file, maskOf(exact, options, v));
     parallelFor(photos.size(), 1, [&](std::size_t begin, std::size_t end) {
       for (std::size_t l = begin; l < end; ++l) {
-        disturb(exact.photos[l], lights[l], options, v, first + l);
+        disturb(exact.photos[l], capture.lights[lights[l].value], options, v, lights[l].value % options.lights);
         const std::size_t clamped = writeExr(photos[l].file, exact.photos[l]);
         if (clamped) reporter.count("pixels.clamped", clamped);
         stage.advance();
@@ -424,20 +479,25 @@ void SyntheticCaptureOptions::validate() const {
   require("exposure", exposure, 0, 10);
   require("saturate", saturation, 0, 1e6);
   require("mask-error", mask_error, 0, 100);
+  require("missing", missing, 0, 1);
+  const std::string fault = SyntheticObject::faultOf(shape, material, interreflection);
+  if (!fault.empty()) faults += (faults.empty() ? "" : "; ") + fault;
   if (!faults.empty()) throw Error(ErrorKind::usage, faults);
 }
 
 void writeSyntheticCapture(const SyntheticCaptureOptions& options, const fs::path& folder, Reporter& reporter) {
   options.validate();
-  const SyntheticObject object(options.shape, options.material);
+  const SyntheticObject object(options.shape, options.material, options.interreflection);
   const AcquisitionMesh mesh = object.tessellate(kMeshCells);
   double radius = 0;
   for (const auto& p : mesh.positions) radius = std::max(radius, length(p.raw()));
   PartialFolder part(folder);
   const Capture capture = layOut(options, radius, part.path());
   {
-    const Photographer photographer(object, mesh);
-    Reporter::Stage stage(reporter, "photographs", static_cast<std::uint64_t>(options.views) * options.lights);
+    const Photographer photographer(object, mesh, capture.lights);
+    std::uint64_t photo_count = 0;
+    for (const CaptureView& view : capture.views) photo_count += view.photos.size();
+    Reporter::Stage stage(reporter, "photographs", photo_count);
     for (std::size_t v = 0; v < capture.views.size(); ++v) {
       throwIfInterrupted();
       writeView(options, photographer, capture, v, reporter, stage);
@@ -462,8 +522,12 @@ SyntheticObject readSyntheticObject(const fs::path& folder) {
     for (const std::string& name : names) list += (list.empty() ? "" : ", ") + name;
     throw root[key].error("found '" + found + "', expected one of: " + list);
   };
-  return {static_cast<SyntheticShape>(index("object", syntheticShapeNames())),
-          static_cast<SyntheticMaterial>(index("material", syntheticMaterialNames()))};
+  const auto shape = static_cast<SyntheticShape>(index("object", syntheticShapeNames()));
+  const auto material = static_cast<SyntheticMaterial>(index("material", syntheticMaterialNames()));
+  const bool interreflection = root.has("interreflection") && root["interreflection"].boolean();
+  const std::string fault = SyntheticObject::faultOf(shape, material, interreflection);
+  if (!fault.empty()) throw root["material"].error(fault);
+  return {shape, material, interreflection};
 }
 
 }  // namespace srf

@@ -22,6 +22,7 @@ const std::vector<std::string>& syntheticRigNames();
 struct SyntheticCaptureOptions {
   SyntheticShape shape = SyntheticShape::sphere;
   SyntheticMaterial material = SyntheticMaterial::lambert;
+  bool interreflection = false;  ///< of matt surfaces: light that reaches a point by way of others
   SyntheticRig rig = SyntheticRig::sphere;
   LightKind light_kind = LightKind::directional;  ///< or point: three radii from the centre
   int views = 48;
@@ -33,8 +34,9 @@ struct SyntheticCaptureOptions {
   double noise = 0;        ///< standard deviation at a white matt surface facing the light, as a share of its radiance
   double exposure = 0;     ///< standard deviation of each photograph's gain, natural logarithm
   double saturation = 0;   ///< photographs hold at most this radiance, as a full sensor does; 0: no bound
+  double missing = 0;      ///< share of the photographs that are left out, at random; none of a view's or light's last
   double mask_error = 0;   ///< pixels: each view's mask is shifted by up to this and grown or shrunk by up to this
-  std::uint64_t seed = 1;  ///< of noise, gain and mask errors
+  std::uint64_t seed = 1;  ///< of noise, gain, mask errors and missing photographs
 
   /// Throws a usage error that lists every value out of its range.
   void validate() const;

@@ -11,7 +11,7 @@ namespace srf {
 namespace {
 
 constexpr double kGrazing = 1e-3;  // least n.v: at silhouettes a sampled point may lie a hair beyond the horizon
-constexpr double kPlasticAlpha = 0.15, kRoughAlpha = 0.35, kGlossAlpha = 0.025;
+constexpr double kPlasticAlpha = 0.15, kRoughAlpha = 0.35, kGlossAlpha = 0.025, kGlassAlpha = 0.05;
 constexpr double kCoatF0 = 0.04;
 constexpr double kBrushAlong = 0.1, kBrushAcross = 0.4;
 constexpr Vec3 kCopperF0{0.95, 0.64, 0.54};
@@ -89,6 +89,12 @@ void setKind(SyntheticMaterial material, ShadingPoint& point) {
     case SyntheticMaterial::white:
       point.albedo = kWhite;
       return;
+    case SyntheticMaterial::glass:
+      point.albedo = {};
+      return coat(kGlassAlpha);
+    case SyntheticMaterial::wax:
+      point.kind = SurfaceKind::scattering;
+      return;
     case SyntheticMaterial::lambert:
       return;
   }
@@ -97,7 +103,8 @@ void setKind(SyntheticMaterial material, ShadingPoint& point) {
 }  // namespace
 
 const std::vector<std::string>& syntheticMaterialNames() {
-  static const std::vector<std::string> names{"lambert", "plastic", "conductor", "velvet", "gloss", "mixed", "white"};
+  static const std::vector<std::string> names{"lambert", "plastic", "conductor", "velvet", "gloss",
+                                              "mixed",   "white",   "wax",       "glass"};
   return names;
 }
 
@@ -117,7 +124,7 @@ ShadingPoint shadingPointOf(SyntheticMaterial material, const Point<AcquisitionS
 Vec3 brdf(const ShadingPoint& point, const Direction<AcquisitionSpace>& light,
           const Direction<AcquisitionSpace>& view) {
   const double nl = dot(point.normal, light);
-  if (nl <= 0) return {};
+  if (nl <= 0 || point.kind == SurfaceKind::scattering) return {};
   const Vec3 matt = (1 / kPi) * point.albedo;
   if (point.kind == SurfaceKind::matt) return matt;
   Local d{{dot(point.tangent, light), dot(point.bitangent, light), nl},

@@ -12,12 +12,13 @@ namespace srf {
 /// brushed copper (GGX, alpha 0.1 along the tangent, 0.4 across). velvet: bright towards grazing angles, faint texture.
 /// gloss: plastic with a coat that nearly mirrors (alpha 0.025): highlights narrower than the spacing of the lights.
 /// mixed: patches of lambert, plastic, rougher plastic (alpha 0.35) and conductor. white: matt, without texture.
-enum class SyntheticMaterial { lambert, plastic, conductor, velvet, gloss, mixed, white };
+/// wax: textured, scatters light below its surface (synthetic_indirect.h). glass: see SyntheticObject::seenAt.
+enum class SyntheticMaterial { lambert, plastic, conductor, velvet, gloss, mixed, white, wax, glass };
 /// In the order of the enumeration.
 const std::vector<std::string>& syntheticMaterialNames();
 
 /// What a single lobe or mixture of lobes is made of; a material has one everywhere, `mixed` one a patch.
-enum class SurfaceKind { matt, coated, brushed_metal, velvet };
+enum class SurfaceKind { matt, coated, brushed_metal, velvet, scattering };
 
 /// What the reflectance at a surface point depends on, found once for all lights.
 struct ShadingPoint {
@@ -32,8 +33,8 @@ struct ShadingPoint {
 
 ShadingPoint shadingPointOf(SyntheticMaterial material, const Point<AcquisitionSpace>& p,
                             const Direction<AcquisitionSpace>& normal);
-/// 1/sr per channel; 0 below the surface on the light's side. Reciprocal, reflects at most what arrives. The viewing
-/// direction is taken as at least 0.06 degrees above the surface.
+/// 1/sr per channel; 0 below the surface on the light's side, and of wax, whose light all comes from below. Reciprocal,
+/// reflects at most what arrives. The viewing direction is taken as at least 0.06 degrees above the surface.
 Vec3 brdf(const ShadingPoint& point, const Direction<AcquisitionSpace>& light, const Direction<AcquisitionSpace>& view);
 
 }  // namespace srf

@@ -94,16 +94,18 @@ SyntheticObject::Implicit bowlImplicit(const Vec3& at) {
   const double distance = norm(away);
   return {distance - kBowlWall, Vector<AcquisitionSpace>(away / distance)};
 }
-// From the middle of the hollow (up) over the rim to the lowest point outside (down), evenly along the profile.
+// From the middle of the hollow (up) over the rim to the lowest point outside (down), along the profile; the rim, which
+// bends most, is given more than its share.
 Vec3 bowlFromUnit(const Vec3& d) {
   const double inner = kBowlRadius - kBowlWall, outer = kBowlRadius + kBowlWall;
-  const double along_inner = inner * kPi / 2, along_rim = kBowlWall * kPi, along_outer = outer * kPi / 2;
+  const double along_inner = inner * kPi / 2, along_rim = 4 * kBowlWall * kPi, along_outer = outer * kPi / 2;
   const double across = std::sqrt(d.x * d.x + d.y * d.y);
   double s = std::atan2(across, d.z) / kPi * (along_inner + along_rim + along_outer), r, z;
   if (s < along_inner) {
     r = inner * std::sin(s / inner), z = -inner * std::cos(s / inner);
   } else if ((s -= along_inner) < along_rim) {
-    r = kBowlRadius - kBowlWall * std::cos(s / kBowlWall), z = kBowlWall * std::sin(s / kBowlWall);
+    const double around = s / (4 * kBowlWall);
+    r = kBowlRadius - kBowlWall * std::cos(around), z = kBowlWall * std::sin(around);
   } else {
     s -= along_rim;
     r = outer * std::cos(s / outer), z = -outer * std::sin(s / outer);
@@ -204,12 +206,61 @@ AcquisitionMesh torusMesh(int n) {
   return mesh;
 }
 
+using Direction0 = Direction<AcquisitionSpace>;
+
+constexpr double kGlassIndex = 1.5;
+
+// Past a surface with normal n on the side that d comes from; eta: index there over index beyond. Along the surface
+// where nothing passes (rounding alone leads there: a ray leaves a ball as steeply as it came in).
+Direction0 refracted(const Direction0& d, const Direction0& n, double eta) {
+  const double cosine = -dot(d, n), k = 1 - eta * eta * (1 - cosine * cosine);
+  const auto along = eta * Vector<AcquisitionSpace>(d) + (eta * cosine - std::sqrt(std::max(k, 0.0))) * n;
+  return normalize(along).value_or(d);
+}
+
+// Fresnel's share of reflected unpolarised light that comes from the air at this cosine.
+double reflectedShare(double cosine) {
+  const double inside = std::sqrt(1 - (1 - cosine * cosine) / square(kGlassIndex));
+  const double along = (kGlassIndex * cosine - inside) / (kGlassIndex * cosine + inside);
+  const double across = (cosine - kGlassIndex * inside) / (cosine + kGlassIndex * inside);
+  return 0.5 * (square(along) + square(across));
+}
+
+// Of ball_on_plate.
+bool onBall(const Vec3& p) {
+  return roundedImplicit(kBallOnPlate[0], p).value < roundedImplicit(kBallOnPlate[1], p).value;
+}
+
+// Where a ray first meets a rounded part, by steps of its distance.
+std::optional<Vec3> march(const Rounded& part, const Vec3& from, const Vec3& d) {
+  double t = 0;
+  for (int i = 0; i < 300 && t < 4; ++i) {
+    const double step = roundedImplicit(part, from + t * d).value;
+    if (step < 1e-9) return from + t * d;
+    t += step;
+  }
+  return std::nullopt;
+}
+
 }  // namespace
 
 const std::vector<std::string>& syntheticShapeNames() {
   static const std::vector<std::string> names{"sphere", "ellipsoid", "capsule", "torus", "bumpy",
                                               "box",    "cylinder",  "bowl",    "slab",  "ball_on_plate"};
   return names;
+}
+
+std::string SyntheticObject::faultOf(SyntheticShape shape, SyntheticMaterial material, bool interreflection) {
+  if (interreflection && material != SyntheticMaterial::lambert && material != SyntheticMaterial::white)
+    return "interreflection is that of matt surfaces; expected the material lambert or white";
+  if (material == SyntheticMaterial::glass && shape != SyntheticShape::ball_on_plate)
+    return "glass is the material of a ball over a pattern; expected the object ball_on_plate";
+  return {};
+}
+
+SyntheticTransport SyntheticObject::transport() const {
+  if (material_ == SyntheticMaterial::wax) return SyntheticTransport::subsurface;
+  return interreflection_ ? SyntheticTransport::interreflection : SyntheticTransport::direct;
 }
 
 bool SyntheticObject::convex() const {
@@ -289,6 +340,37 @@ AcquisitionMesh SyntheticObject::tessellate(int cells) const {
   mesh.normals.reserve(mesh.positions.size());
   for (const auto& p : mesh.positions) mesh.normals.push_back(normal(p));
   return mesh;
+}
+
+ShadingPoint SyntheticObject::shadingPoint(const Point<AcquisitionSpace>& p) const {
+  const bool plate = material_ == SyntheticMaterial::glass && !onBall(p.raw());
+  return shadingPointOf(plate ? SyntheticMaterial::lambert : material_, p, normal(p));
+}
+
+std::vector<SyntheticObject::Seen> SyntheticObject::seenAt(const Point<AcquisitionSpace>& p,
+                                                           const Direction<AcquisitionSpace>& view) const {
+  std::vector<Seen> seen{{shadingPoint(p), view, 1}};
+  if (material_ != SyntheticMaterial::glass || !onBall(p.raw())) return seen;
+  const auto& [ball, plate] = kBallOnPlate;
+  const Direction0 n = seen[0].point.normal;
+  const double cosine = std::clamp(dot(n, view), 0.0, 1.0), mirrored = reflectedShare(cosine);
+  const auto add = [&](const Vec3& from, const Direction0& along, double weight) {
+    if (const auto met = march(plate, from, along.raw()))
+      seen.push_back({shadingPoint(project(Point<AcquisitionSpace>(*met))), -along, weight});
+  };
+  const Direction0 inside = refracted(-view, n, 1 / kGlassIndex);
+  const Vec3 leaves = p.raw() + std::max(0.0, -2 * ball.radius * dot(n, inside)) * inside.raw();
+  const Direction0 out = normalize(Vector<AcquisitionSpace>(leaves - ball.center)).value_or(n);
+  add(leaves, refracted(inside, -out, kGlassIndex), square(1 - mirrored));
+  add(p.raw(), normalize(2 * cosine * n - Vector<AcquisitionSpace>(view)).value_or(n), mirrored);
+  return seen;
+}
+
+std::vector<Triangle> SyntheticObject::casters(const AcquisitionMesh& tessellation) const {
+  std::vector<Triangle> triangles = tessellation.triangles;
+  if (material_ == SyntheticMaterial::glass)
+    std::erase_if(triangles, [&](const Triangle& t) { return onBall(tessellation.positions[t[0]].raw()); });
+  return triangles;
 }
 
 }  // namespace srf

@@ -21,12 +21,20 @@ enum class SyntheticShape { sphere, ellipsoid, capsule, torus, bumpy, box, cylin
 /// In the order of the enumeration.
 const std::vector<std::string>& syntheticShapeNames();
 
+/// How light reaches a point: from its source alone; by way of other points of the surface too; below the surface.
+enum class SyntheticTransport { direct, interreflection, subsurface };
+
 class SyntheticObject {
  public:
-  SyntheticObject(SyntheticShape shape, SyntheticMaterial material) : shape_(shape), material_(material) {}
+  SyntheticObject(SyntheticShape shape, SyntheticMaterial material, bool interreflection = false)
+      : shape_(shape), material_(material), interreflection_(interreflection) {}
+  /// What is wrong with a combination, for people; empty where nothing is: interreflection is that of matt surfaces,
+  /// and only ball_on_plate has a ball of glass.
+  static std::string faultOf(SyntheticShape shape, SyntheticMaterial material, bool interreflection);
 
   SyntheticShape shape() const { return shape_; }
   SyntheticMaterial material() const { return material_; }
+  SyntheticTransport transport() const;
   /// A convex object casts no shadow on itself.
   bool convex() const;
 
@@ -46,11 +54,24 @@ class SyntheticObject {
   AcquisitionMesh tessellate(int cells) const;
 
   /// Everything that brdf needs at a point of the surface.
-  ShadingPoint shadingPoint(const Point<AcquisitionSpace>& p) const { return shadingPointOf(material_, p, normal(p)); }
+  ShadingPoint shadingPoint(const Point<AcquisitionSpace>& p) const;
+  /// What is seen of the surface point p from the direction `view`: itself. Of a ball of glass (index 1.5) besides: the
+  /// plate's points that are met along the ray refracted through the ball (Snell; once in, once out; weight: what
+  /// Fresnel's equations let through) and along the mirrored ray (weight: what they reflect). Light passes the ball as
+  /// if it were not there: it casts neither shadow nor caustic.
+  struct Seen {
+    ShadingPoint point;
+    Direction<AcquisitionSpace> view;
+    double weight;
+  };
+  std::vector<Seen> seenAt(const Point<AcquisitionSpace>& p, const Direction<AcquisitionSpace>& view) const;
+  /// The triangles of this object's tessellation that cast shadows: all but a ball of glass.
+  std::vector<Triangle> casters(const AcquisitionMesh& tessellation) const;
 
  private:
   SyntheticShape shape_;
   SyntheticMaterial material_;
+  bool interreflection_;
 };
 
 }  // namespace srf

@@ -4,6 +4,8 @@
 #include <optional>
 #include <span>
 
+#include "acquire/synthetic_indirect.h"
+#include "base/numeric.h"
 #include "base/parallel.h"
 #include "base/ray_scene.h"
 
@@ -18,12 +20,14 @@ constexpr double kInside = -0.02;
 
 // Where a sample of the picture meets the deformed surface.
 struct Sample {
-  int x;
+  int x = 0;
+  double weight = 1;
   ShadingPoint point;
   Direction<AcquisitionSpace> view;
   Orthogonal<AcquisitionSpace, ObjectSpace> acquisition_from_object;  // L
   Point<ObjectSpace> p_star;
   Direction<ObjectSpace> n_star;
+  IndirectLight::Place place{};
 };
 
 // What arrives at a sample from one light.
@@ -49,33 +53,27 @@ class ReferenceScene {
       if (isFinite(p)) box.extend(p);
     offset_ = kShadowOffset * box.diameter();
     deformed_ = RayScene<ObjectSpace>::ofTriangles(moved, mesh_.triangles);
+    const std::vector<Triangle> casters = object.casters(mesh_);
+    if (casters.size() < mesh_.triangles.size()) deformed_casters_ = RayScene<ObjectSpace>::ofTriangles(moved, casters);
     // A convex object casts no shadow on itself at rest.
     if (shadows != ReferenceShadows::none && !object.convex())
-      rest_ = RayScene<AcquisitionSpace>::ofTriangles(mesh_.positions, mesh_.triangles);
+      rest_casters_ = RayScene<AcquisitionSpace>::ofTriangles(mesh_.positions, casters);
     rest_offset_ = kShadowOffset * mesh_.bounds().diameter();
+    solveIndirect();
   }
 
   void renderRow(const Camera<ObjectSpace>& camera, int n, int y, float* rgba) const {
     std::vector<double> sum(4 * static_cast<std::size_t>(camera.lens.width), 0.0);
     const std::vector<Sample> samples = meetRow(camera, n, y, sum);
-    for (const auto& light : lights_.distant)
-      add(samples, sum, false, [&](const Sample& s) {
-        return Incident{s.acquisition_from_object * light.direction, light.direction, INFINITY, INFINITY,
-                        light.irradiance};
+    const auto add = [&](const Sample& s, const Vec3& radiance) {
+      for (int c = 0; c < 3; ++c) sum[4 * s.x + c] += s.weight * radiance[c];
+    };
+    for (const bool rest : {false, true})
+      illuminate(samples, rest, [&](std::size_t i, const Incident& in, const Vec3& irradiance) {
+        add(samples[i], brdf(samples[i].point, in.light, samples[i].view) * irradiance);
       });
-    for (const auto& light : lights_.near_lights)
-      add(samples, sum, false, [&](const Sample& s) {
-        const double d = distance(light.position, s.p_star);
-        const auto to = normalize(light.position - s.p_star).value_or(s.n_star);
-        return Incident{s.acquisition_from_object * to, to, d, INFINITY, d > 0 ? light.intensity / (d * d) : Vec3{}};
-      });
-    for (const auto& [light, scale] : lights_.rest)
-      add(samples, sum, true, [&, scale = scale](const Sample& s) {
-        const auto to = light.directionFrom(s.point.p);
-        const double d = light.kind == LightKind::point ? distance(light.position, s.point.p) : INFINITY;
-        return Incident{to, s.acquisition_from_object.inverse() * to, INFINITY, d,
-                        scale * light.irradianceAt(s.point.p)};
-      });
+    for (const IndirectLight& indirect : indirect_)
+      for (const Sample& s : samples) add(s, (1 / kPi) * (s.point.albedo * indirect.at(s.place, 0)));
     for (std::size_t i = 0; i < sum.size(); ++i) rgba[i] = static_cast<float>(sum[i] / (n * n));
   }
 
@@ -96,21 +94,34 @@ class ReferenceScene {
     for (std::size_t i = 0; i < rays.size(); ++i) {
       if (!hits[i].hit()) continue;
       rgba[4 * column[i] + 3] += 1;
-      if (auto sample = sampleAt(hits[i], camera)) {
-        sample->x = column[i];
-        samples.push_back(*sample);
-      }
+      addSamples(hits[i], camera, column[i], samples);
     }
     return samples;
   }
 
-  // Nothing where the inside is seen, or where Psi collapses the surface.
-  std::optional<Sample> sampleAt(const TriangleHit& hit, const Camera<ObjectSpace>& camera) const {
+  // What is seen at a hit; nothing where the inside is seen, or where Psi collapses the surface. Through glass the
+  // object is seen as at rest from the direction that L gives, and each point of it lit where Psi has put it.
+  void addSamples(const TriangleHit& hit, const Camera<ObjectSpace>& camera, int x,
+                  std::vector<Sample>& samples) const {
     const Triangle& t = mesh_.triangles[hit.triangle];
     const Point<AcquisitionSpace>&a = mesh_.positions[t[0]], &b = mesh_.positions[t[1]], &c = mesh_.positions[t[2]];
     const auto p0 = object_.project(a + double{hit.b1} * (b - a) + double{hit.b2} * (c - a));
-    const ShadingPoint point = object_.shadingPoint(p0);
-    const auto jacobian = warp_.jacobian(p0);
+    const auto first = surfaceAt(object_.shadingPoint(p0));
+    if (!first) return;
+    const auto v_star = camera.viewDirection(first->p_star);
+    if (dot(first->n_star, v_star) < kInside) return;
+    for (const auto& [point, view, weight] : object_.seenAt(p0, first->acquisition_from_object * v_star)) {
+      auto sample = point.p == p0 ? first : surfaceAt(point);
+      if (!sample) continue;
+      sample->x = x, sample->weight = weight, sample->view = view;
+      if (!indirect_.empty()) sample->place = indirect_[0].place(point.p, point.normal);
+      samples.push_back(*sample);
+    }
+  }
+
+  // Nothing where Psi collapses the surface.
+  std::optional<Sample> surfaceAt(const ShadingPoint& point) const {
+    const auto jacobian = warp_.jacobian(point.p);
     const Mat3& j = jacobian.raw();
     const double det = determinant(jacobian);
     // The cofactor matrix carries normals; where Psi mirrors it turns them inwards.
@@ -118,55 +129,105 @@ class ReferenceScene {
     const Mat3 cofactor{{cross(r1, r2), cross(r2, r0), cross(r0, r1)}};
     const auto n_star = normalize(Vector<ObjectSpace>((det < 0 ? -1.0 : 1.0) * (cofactor * point.normal.raw())));
     if (!n_star) return std::nullopt;
-    const Point<ObjectSpace> p_star = warp_.map(p0);
+    const Point<ObjectSpace> p_star = warp_.map(point.p);
     if (!isFinite(p_star)) return std::nullopt;
-    const auto v_star = camera.viewDirection(p_star);
-    if (dot(*n_star, v_star) < kInside) return std::nullopt;
-    const auto look_up = warp_.lookUp(jacobian, point.normal);
-    return Sample{0, point, look_up * v_star, look_up, p_star, *n_star};
+    return Sample{0, 1, point, point.normal, warp_.lookUp(jacobian, point.normal), p_star, *n_star};
   }
 
-  template <class IncidentAt>
-  void add(const std::vector<Sample>& samples, std::vector<double>& rgba, bool fixed_to_rest,
-           const IncidentAt& incident_at) const {
-    std::vector<const Sample*> lit;
+  // What the object itself passes on of the scene's lights and of the captured ones. Reflected light travels between
+  // the places that the shadows are cast in; without cast shadows there is none.
+  void solveIndirect() {
+    const SyntheticTransport transport = object_.transport();
+    if (transport == SyntheticTransport::direct) return;
+    if (transport == SyntheticTransport::interreflection && shadows_ == ReferenceShadows::none) return;
+    IndirectLight::Pose pose;
+    if (shadows_ == ReferenceShadows::deformed)
+      pose = [&](const auto& p) { return Point<IndirectLight::TravelSpace>(warp_.map(p).raw()); };
+    for (const bool rest : {false, true}) {
+      if (rest ? lights_.rest.empty() : lights_.distant.empty() && lights_.near_lights.empty()) continue;
+      IndirectLight& indirect = indirect_.emplace_back(object_, rest ? IndirectLight::Pose() : pose);
+      std::vector<Sample> probes;
+      std::vector<std::size_t> of_probe;
+      for (std::size_t i = 0; i < indirect.probes().size(); ++i)
+        if (const auto sample = surfaceAt(object_.shadingPoint(indirect.probes()[i]))) {
+          probes.push_back(*sample);
+          of_probe.push_back(i);
+        }
+      indirect.solve(1, [&](std::size_t) {
+        std::vector<Vec3> sum(indirect.probes().size());
+        illuminate(probes, rest,
+                   [&](std::size_t i, const Incident&, const Vec3& irradiance) { sum[of_probe[i]] += irradiance; });
+        return sum;
+      });
+    }
+  }
+
+  // Calls use(sample, what arrives, irradiance on the surface there) for each light of the scene, or each captured one,
+  // and each sample that it reaches.
+  template <class Use>
+  void illuminate(const std::vector<Sample>& samples, bool rest, const Use& use) const {
+    if (rest) {
+      for (const auto& [light, scale] : lights_.rest)
+        reach(samples, true, use, [&, scale = scale](const Sample& s) {
+          const auto to = light.directionFrom(s.point.p);
+          const double d = light.kind == LightKind::point ? distance(light.position, s.point.p) : INFINITY;
+          return Incident{to, s.acquisition_from_object.inverse() * to, INFINITY, d,
+                          scale * light.irradianceAt(s.point.p)};
+        });
+      return;
+    }
+    for (const auto& light : lights_.distant)
+      reach(samples, false, use, [&](const Sample& s) {
+        return Incident{s.acquisition_from_object * light.direction, light.direction, INFINITY, INFINITY,
+                        light.irradiance};
+      });
+    for (const auto& light : lights_.near_lights)
+      reach(samples, false, use, [&](const Sample& s) {
+        const double d = distance(light.position, s.p_star);
+        const auto to = normalize(light.position - s.p_star).value_or(s.n_star);
+        return Incident{s.acquisition_from_object * to, to, d, INFINITY, d > 0 ? light.intensity / (d * d) : Vec3{}};
+      });
+  }
+
+  template <class Use, class IncidentAt>
+  void reach(const std::vector<Sample>& samples, bool fixed_to_rest, const Use& use,
+             const IncidentAt& incident_at) const {
+    std::vector<std::size_t> lit;
     std::vector<Incident> incident;
-    for (const Sample& s : samples) {
-      const Incident in = incident_at(s);
-      if (!(dot(s.point.normal, in.light) > 0)) continue;
-      lit.push_back(&s);
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      const Incident in = incident_at(samples[i]);
+      if (!(dot(samples[i].point.normal, in.light) > 0)) continue;
+      lit.push_back(i);
       incident.push_back(in);
     }
-    const std::vector<std::uint8_t> blocked = shadow(lit, incident, fixed_to_rest);
-    for (std::size_t i = 0; i < lit.size(); ++i) {
-      if (blocked[i]) continue;
-      const Sample& s = *lit[i];
-      const Incident& in = incident[i];
-      const Vec3 radiance = dot(s.point.normal, in.light) * (brdf(s.point, in.light, s.view) * in.irradiance);
-      for (int c = 0; c < 3; ++c) rgba[4 * s.x + c] += radiance[c];
-    }
+    const std::vector<std::uint8_t> blocked = shadow(samples, lit, incident, fixed_to_rest);
+    for (std::size_t k = 0; k < lit.size(); ++k)
+      if (!blocked[k])
+        use(lit[k], incident[k], dot(samples[lit[k]].point.normal, incident[k].light) * incident[k].irradiance);
   }
 
-  std::vector<std::uint8_t> shadow(const std::vector<const Sample*>& lit, const std::vector<Incident>& incident,
-                                   bool fixed_to_rest) const {
+  std::vector<std::uint8_t> shadow(const std::vector<Sample>& samples, const std::vector<std::size_t>& lit,
+                                   const std::vector<Incident>& incident, bool fixed_to_rest) const {
     std::vector<std::uint8_t> blocked(lit.size(), 0);
     if (shadows_ == ReferenceShadows::none) return blocked;
     std::vector<double> far(lit.size());
     if (fixed_to_rest || shadows_ == ReferenceShadows::captured) {
-      if (!rest_) return blocked;
+      if (!rest_casters_) return blocked;
       std::vector<Ray<AcquisitionSpace>> rays(lit.size());
       for (std::size_t i = 0; i < lit.size(); ++i) {
-        rays[i] = {lit[i]->point.p + rest_offset_ * lit[i]->point.normal, incident[i].light};
+        const Sample& s = samples[lit[i]];
+        rays[i] = {s.point.p + rest_offset_ * s.point.normal, incident[i].light};
         far[i] = incident[i].rest_distance;
       }
-      rest_->occluded(rays, far, 0, blocked);
+      rest_casters_->occluded(rays, far, 0, blocked);
     } else {
       std::vector<Ray<ObjectSpace>> rays(lit.size());
       for (std::size_t i = 0; i < lit.size(); ++i) {
-        rays[i] = {lit[i]->p_star + offset_ * lit[i]->n_star, incident[i].light_star};
+        const Sample& s = samples[lit[i]];
+        rays[i] = {s.p_star + offset_ * s.n_star, incident[i].light_star};
         far[i] = incident[i].distance;
       }
-      deformed_->occluded(rays, far, 0, blocked);
+      (deformed_casters_ ? *deformed_casters_ : *deformed_).occluded(rays, far, 0, blocked);
     }
     return blocked;
   }
@@ -176,8 +237,9 @@ class ReferenceScene {
   const ReferenceLights& lights_;
   ReferenceShadows shadows_;
   AcquisitionMesh mesh_;
-  std::optional<RayScene<ObjectSpace>> deformed_;
-  std::optional<RayScene<AcquisitionSpace>> rest_;
+  std::optional<RayScene<ObjectSpace>> deformed_, deformed_casters_;
+  std::optional<RayScene<AcquisitionSpace>> rest_casters_;
+  std::vector<IndirectLight> indirect_;  // of the scene's lights, of the captured ones; where there are both or either
   double offset_ = 0, rest_offset_ = 0;
 };
 

@@ -56,7 +56,10 @@ struct ReferenceOptions {
 };
 
 /// Width x height x 4: radiance and coverage, premultiplied, linear. At a point, with l = L l* and v = L v*:
-/// brdf(p0, l, v) (n0 . l) irradiance(p*), summed over the lights. Same input, same bits, for any thread count.
+/// brdf(p0, l, v) (n0 . l) irradiance(p*), summed over the lights. Interreflection goes with the shadows: with deformed
+/// ones light travels in the deformed object, with captured ones in the rest pose from the directions l, with none
+/// there is none. Below the surface of wax light travels as at rest. Through glass the object is seen as at rest along
+/// v, its points lit as any. Same input, same bits, for any thread count.
 ImageF renderReference(const SyntheticObject& object, const ReferenceWarp& warp, const Camera<ObjectSpace>& camera,
                        const ReferenceLights& lights, const ReferenceOptions& options, Reporter& reporter);
 

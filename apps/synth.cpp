@@ -119,6 +119,8 @@ int run(int argc, char** argv) {
   std::vector<CLI::Option*> of_capture{
       addChoice(app, "--object", capture.shape, syntheticShapeNames(), "shape"),
       addChoice(app, "--material", capture.material, syntheticMaterialNames(), "reflectance"),
+      app.add_flag("--interreflection", capture.interreflection,
+                   "light that matt surfaces throw on each other (lambert, white)"),
       addChoice(app, "--rig", capture.rig, syntheticRigNames(), "how the cameras stand"),
       addChoice(app, "--light-type", capture.light_kind, kLightTypes, "kind of the lights"),
       app.add_option("--views", capture.views, "number of views"),
@@ -132,8 +134,9 @@ int run(int argc, char** argv) {
       app.add_option("--exposure", capture.exposure,
                      "gain error of the photographs, standard deviation of its logarithm"),
       app.add_option("--saturate", capture.saturation, "most radiance that a photograph holds; 0: no bound"),
+      app.add_option("--missing", capture.missing, "share of the photographs left out at random, e.g. 0.2"),
       app.add_option("--mask-error", capture.mask_error, "error of the masks, pixels"),
-      app.add_option("--seed", capture.seed, "of noise, exposure and mask errors")};
+      app.add_option("--seed", capture.seed, "of noise, exposure, mask errors and missing photographs")};
 
   ReferenceJob job;
   CLI::Option* reference = app.add_option("--reference", job.scene, "scene.json: render its exact picture instead");
