@@ -68,6 +68,7 @@ class AnimatedDeformation {
   /// The maps of space at `frame`, without a leading skin or sequence.
   Deformation at(double frame) const;
   bool constant() const;  ///< the same at every frame
+  bool none() const { return steps_.empty() && !movesVertices(); }
   /// A leading `skin` or `sequence`: what moves the vertices of the rest mesh before the maps of space apply.
   bool movesVertices() const;
   /// Finds which vertex of the file moves which of `rest`; `fps`: frames a second, for files that count in seconds.

@@ -28,10 +28,20 @@ class AcquiredLights {
   bool relightable() const { return !usable_.empty(); }
   std::optional<std::uint32_t> find(LightId light) const;
 
+  /// The k + 1 nearest lights to `direction` at p, and where all of these tie the others that tie with them; nearest
+  /// first, penalties in radians, sources are positions in ids().
+  void ranked(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p,
+              std::vector<Penalised>& order) const;
   /// Weights of the k nearest lights to `direction` at p, sum 1; sources are positions in ids(). `scratch` is only
   /// memory.
   void nearest(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p,
                std::vector<Penalised>& scratch, std::vector<Weighted>& weights) const;
+  /// Positions in ids() of the lights of known direction.
+  const std::vector<std::uint32_t>& usable() const { return usable_; }
+  /// From p to light i, one of usable().
+  Direction<AcquisitionSpace> directionOf(std::uint32_t i, const Point<AcquisitionSpace>& p) const {
+    return lights_[i].directionFrom(p);
+  }
   /// 1 / irradiance of light i at p per channel; 0 in a channel where the light is dark.
   Vec3 inverseIrradiance(std::uint32_t i, const Point<AcquisitionSpace>& p) const;
 

@@ -88,6 +88,35 @@ fs::path fieldOf(const Scene& scene, const AnimationOptions& options) {
   return srf;
 }
 
+/// The fit that guides the scene's interpolation, where there is one to.
+std::optional<ReflectanceFit> fitFor(const Scene& scene, const fs::path& srf, const SrfManifest& manifest,
+                                     const DeformableModel& model) {
+  if (scene.interpolation == Interpolation::plain) return std::nullopt;
+  std::optional<ReflectanceFit> fit = loadFit(srf, manifest, model);
+  if (!fit && scene.interpolation == Interpolation::guided)
+    throw badInput(
+        scene.file.string() + ": /interpolation",
+        "found \"guided\", yet the model of " + srf.string() + " holds no fit; run srf model again, or use \"plain\"");
+  if (!fit && (scene.shadows == Shadows::deformed || scene.shadows == Shadows::off))
+    throw badInput(scene.file.string() + ": /effects/shadows",
+                   "asks for shadows by rays, which plain interpolation does not have, and the model of " +
+                       srf.string() + " holds no fit that would guide it; use \"captured\"");
+  return fit;
+}
+
+FrameSettings frameSettings(const Scene& scene, const std::optional<ReflectanceFit>& fit,
+                            const AnimationOptions& options) {
+  FrameSettings settings;
+  settings.accuracy = scene.accuracy;
+  settings.fit = fit ? &*fit : nullptr;
+  settings.shadows = scene.shadows;
+  if (scene.shadows == Shadows::automatic)
+    settings.shadows = scene.deformation.none() ? Shadows::captured : Shadows::deformed;
+  settings.samples = scene.samples;
+  settings.memory_bytes = options.memory_bytes;
+  return settings;
+}
+
 }  // namespace
 
 std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOptions& options, Reporter& reporter) {
@@ -103,6 +132,7 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
   // Everything that can be wrong is found before the first frame.
   const SrfManifest manifest = readManifest(srf);
   const DeformableModel model = loadModel(srf, manifest);
+  const std::optional<ReflectanceFit> fit = fitFor(scene, srf, manifest, model);
   const LightSet light_set(scene, manifest, reporter);
   const auto vertex_motion = scene.deformation.movesVertices()
                                  ? scene.deformation.vertexMotion(model.restMesh(), scene.fps, reporter)
@@ -117,7 +147,8 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
 
   const Attributes common = commonAttributes(scene, manifest, srf, layers);
   DeformedModel deformed(model);
-  FrameSettings settings{scene.accuracy, scene.samples, layers, options.memory_bytes};
+  FrameSettings settings = frameSettings(scene, fit, options);
+  settings.layers = layers;
   std::optional<FrameRenderer> renderer;  // opened with the first frame that is not kept
   bool moved = false;
   std::vector<RenderedFrame> rendered;
@@ -176,8 +207,8 @@ ExplainedFrame explainPixel(const Scene& scene, const AnimationOptions& options,
   if (scene.deformation.movesVertices())
     vertices = scene.deformation.vertexMotion(result.model.restMesh(), scene.fps, reporter)->at(frame);
   deformed.deform(scene.deformation.at(frame), vertices ? &*vertices : nullptr);
-  const FrameSettings settings{scene.accuracy, scene.samples, {}, options.memory_bytes};
-  FrameRenderer renderer(srf, result.field, result.model, settings, reporter);
+  const std::optional<ReflectanceFit> fit = fitFor(scene, srf, result.field, result.model);
+  FrameRenderer renderer(srf, result.field, result.model, frameSettings(scene, fit, options), reporter);
   result.pixel = renderer.explain(camera, deformed, result.lights, x, y);
   result.positions = deformed.positions();
   result.tangents = deformed.tangents();

@@ -10,6 +10,7 @@
 #include "base/numeric.h"
 #include "base/parallel.h"
 #include "render/deferred_shading.h"
+#include "render/guided_interpolation.h"
 #include "render/light_weights.h"
 #include "render/look_up.h"
 #include "render/view_selection.h"
@@ -202,15 +203,26 @@ std::vector<LightEntry> nonzero(const float* vector, int count) {
 /// One block of pixels on its way.
 struct PixelBlock {
   ShadingBatch shading;
-  std::vector<std::uint32_t> pixel;  ///< of each target
+  std::vector<std::uint32_t> pixel;           ///< of each target
+  std::vector<std::array<double, 3>> guided;  ///< of each target: what the model gives and takes; empty: plain
   std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
   double seconds_trace = 0, seconds_look_up = 0, seconds_views = 0, seconds_weights = 0, seconds_sort = 0;
 
   std::size_t bytes() const {
     return shading.operations.capacity() * (sizeof(ShadingOperation) + sizeof(Rgb)) + shading.lights.bytes() +
-           pixel.capacity() * sizeof(std::uint32_t);
+           pixel.capacity() * sizeof(std::uint32_t) + guided.capacity() * sizeof(guided.front());
   }
 };
+
+/// The colour of each target: what its operations sum to, and what the model gives and takes.
+std::vector<std::array<double, 3>> hitColors(const ShadingBatch& shading,
+                                             const std::vector<std::array<double, 3>>& guided) {
+  std::vector<std::array<double, 3>> colors = sumResults(shading);
+  // A difference of model values may overshoot where the photographs are dark.
+  for (std::size_t t = 0; t < guided.size(); ++t)
+    for (int c = 0; c < 3; ++c) colors[t][c] = std::max(0.0, colors[t][c] + guided[t][c]);
+  return colors;
+}
 
 }  // namespace
 
@@ -226,10 +238,12 @@ struct FrameRenderer::State {
 
   FrameLighting::Options lightingOptions(const DeformedModel& deformed, const FrameLights& lights) const;
   std::vector<std::uint8_t> allowedViews(const FrameLighting& lighting) const;
+  /// None where nothing guides. Both must outlive it.
+  std::optional<GuidedLighting> guidedLighting(const DeformedModel& deformed, const FrameLighting& lighting);
   /// `layers` and `explained` may be null: then neither costs anything.
   void gather(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLighting& lighting,
-              std::span<const std::uint8_t> allowed, const PixelRays& in, PixelBlock& out, Layers* layers,
-              std::vector<ExplainedHit>* explained) const;
+              const GuidedLighting* guided, std::span<const std::uint8_t> allowed, const PixelRays& in, PixelBlock& out,
+              Layers* layers, std::vector<ExplainedHit>* explained) const;
   void addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
                      std::vector<ShadingOperation>& out) const;
   /// Fills in the lights of a hit that has views.
@@ -244,6 +258,8 @@ struct FrameRenderer::State {
   std::optional<ViewSelection> selection;
   std::optional<BlockCache> cache;
   std::optional<DeferredShading> shading;
+  std::vector<std::optional<NeighbourTable>> tables, no_tables;  ///< of each list, for guided interpolation
+  std::optional<DeformedModel> rest;  ///< what casts captured shadows, once guided interpolation asks for them
   SharedLightVectors shared;
   std::map<std::string, double> seconds;  ///< by stage, over all frames
 };
@@ -333,10 +349,32 @@ std::vector<std::uint8_t> FrameRenderer::State::allowedViews(const FrameLighting
   return allowed;
 }
 
+std::optional<GuidedLighting> FrameRenderer::State::guidedLighting(const DeformedModel& deformed,
+                                                                   const FrameLighting& lighting) {
+  if (!settings.fit) return std::nullopt;
+  const bool at_rest = settings.shadows == Shadows::captured;
+  if (at_rest && !rest) rest.emplace(deformed.model());
+  GuidedLighting::Options guide;
+  guide.shadows = settings.shadows;
+  guide.shadow_rays = settings.accuracy.shadow_rays;
+  guide.min_distance = lighting.options().min_distance;
+  guide.model_alone = settings.model_alone;
+  // Few lights cost little without a table.
+  tables.resize(lists.size());
+  no_tables.resize(lists.size());
+  const double sharing = settings.accuracy.light_sharing;
+  const bool many = sharing > 0 && lighting.lights().distant.size() >= FrameLighting::kFewestShared;
+  for (std::size_t i = 0; i < lists.size(); ++i)
+    if (many && !tables[i] && lists[i].distant() && lists[i].relightable()) tables[i].emplace(lists[i], sharing);
+  return std::optional<GuidedLighting>(std::in_place, *settings.fit, lighting,
+                                       many ? std::span<const std::optional<NeighbourTable>>(tables) : no_tables,
+                                       at_rest ? *rest : deformed, selection->views(), list_of_view, guide);
+}
+
 void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const DeformedModel& deformed,
-                                  const FrameLighting& lighting, std::span<const std::uint8_t> allowed,
-                                  const PixelRays& in, PixelBlock& out, Layers* layers,
-                                  std::vector<ExplainedHit>* explained) const {
+                                  const FrameLighting& lighting, const GuidedLighting* guided,
+                                  std::span<const std::uint8_t> allowed, const PixelRays& in, PixelBlock& out,
+                                  Layers* layers, std::vector<ExplainedHit>* explained) const {
   const int width = camera.lens.width;
   const std::vector<Ray<ObjectSpace>>& rays = in.rays;
   const std::vector<std::uint32_t>& pixels = in.pixel;
@@ -361,7 +399,9 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
   lap(out.seconds_look_up);
 
   ViewSelection::Scratch scratch;
-  std::vector<ChosenView> chosen;
+  std::vector<ChosenView> chosen, all_chosen;                    // of the hit, of all of them
+  std::vector<std::size_t> first_chosen;                         // of each hit, in all_chosen
+  std::vector<Direction<AcquisitionSpace>> directions;           // v of each hit
   std::vector<std::pair<std::uint32_t, std::uint32_t>> handles;  // (list, light weights) of the hit
   std::vector<std::pair<std::uint32_t, std::uint32_t>> wanted;   // (position in met, list) by handle, weighed below
   for (std::size_t m = 0; m < met.size(); ++m) {
@@ -377,6 +417,11 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
     query.points = {hit.point, static_cast<std::size_t>(hit.count)};
     query.point_weights = {hit.weight, static_cast<std::size_t>(hit.count)};
     const ViewSelection::Result seen = selection->select(query, allowed, scratch, chosen);  // M12
+    if (guided) {
+      directions.push_back(view);
+      first_chosen.push_back(all_chosen.size());
+      all_chosen.insert(all_chosen.end(), chosen.begin(), chosen.end());
+    }
     out.not_seen += seen == ViewSelection::Result::not_seen;
     out.no_view += seen == ViewSelection::Result::none;
 
@@ -398,8 +443,23 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
   out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
   lap(out.seconds_views);
 
+  GuidedBlock guided_block;
+  if (guided) {
+    std::vector<GuidedQuery> queries;
+    for (std::size_t m = 0; m < met.size(); ++m) {
+      const std::size_t end = m + 1 < met.size() ? first_chosen[m + 1] : all_chosen.size();
+      queries.push_back({&hits[met[m]], &look_ups[m], directions[m],
+                         std::span(all_chosen).subspan(first_chosen[m], end - first_chosen[m])});
+    }
+    guided->prepare(queries, guided_block);
+    out.guided.resize(met.size());
+  }
   for (const auto& [m, list] : wanted) {  // M13, M14
     const LookUp& look_up = look_ups[m];
+    if (guided && guided_block.hits[m].gate > 0) {
+      guided->gather(guided_block, m, list, out.shading.lights, out.guided[m]);
+      continue;
+    }
     lighting.gather(list,
                     {look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
                      look_up.acquisition_from_object.inverse() * look_up.normal},
@@ -428,6 +488,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   };
 
   const FrameLighting lighting(lights, s.lists, s.lightingOptions(deformed, lights));
+  const std::optional<GuidedLighting> guided = s.guidedLighting(deformed, lighting);
   s.shared.prepare(lighting);
   const std::vector<std::uint8_t> allowed = s.allowedViews(lighting);
   lap("weights");
@@ -453,8 +514,9 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       batch.resize(first + count);
       parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i)
-          s.gather(camera, deformed, lighting, allowed, raysOfBlock(camera, pattern, next + static_cast<int>(i)),
-                   batch[first + i], layers.wanted() ? &layers : nullptr, nullptr);
+          s.gather(camera, deformed, lighting, guided ? &*guided : nullptr, allowed,
+                   raysOfBlock(camera, pattern, next + static_cast<int>(i)), batch[first + i],
+                   layers.wanted() ? &layers : nullptr, nullptr);
       });
       double trace = 0, look_up = 0, views = 0, weights = 0, sort = 0;
       for (std::size_t i = first; i < batch.size(); ++i) {
@@ -490,7 +552,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     lap("execute");
     parallelFor(batch.size(), 16, [&](std::size_t begin, std::size_t end) {
       for (std::size_t b = begin; b < end; ++b) {
-        const auto colors = sumResults(shading[b]);
+        const auto colors = hitColors(shading[b], batch[b].guided);
         for (std::size_t t = 0; t < colors.size(); ++t) {
           auto& sum = sums[batch[b].pixel[t]];
           for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
@@ -548,14 +610,17 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
   PixelBlock block;
   PixelExplanation result;
   result.samples = static_cast<int>(pattern.size());
-  s.gather(camera, deformed, lighting, s.allowedViews(lighting), rays, block, nullptr, &result.hits);
+  const std::optional<GuidedLighting> guided = s.guidedLighting(deformed, lighting);
+  s.gather(camera, deformed, lighting, guided ? &*guided : nullptr, s.allowedViews(lighting), rays, block, nullptr,
+           &result.hits);
   s.shared.want(block.shading.lights.wanted, lighting);
   s.shared.compute(lighting);
   s.shared.resolve(block.shading.lights);
   s.shading->execute({&block.shading, 1});
-  const auto colors = sumResults(block.shading);
+  const auto colors = hitColors(block.shading, block.guided);
   std::array<double, 4> sum{};
   for (std::size_t t = 0; t < colors.size(); ++t) {
+    if (!block.guided.empty()) result.hits[t].guided = block.guided[t];
     result.hits[t].color = colors[t];
     for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
     sum[3] += 1;

@@ -14,6 +14,7 @@
 #include "field/reflectance_store.h"
 #include "field/srf_folder.h"
 #include "model/deformed_model.h"
+#include "model/reflectance_fit.h"
 #include "render/light_set.h"
 #include "render/pixel_explanation.h"
 
@@ -30,8 +31,11 @@ struct Frame {
 
 struct FrameSettings {
   Accuracy accuracy;
-  int samples = 1;                                  ///< per pixel, a regular or stratified pattern (deterministic)
-  std::set<std::string> layers;                     ///< groups asked for; others cost nothing
+  const ReflectanceFit* fit = nullptr;  ///< guides the interpolation; none: plain. Must outlive the renderer
+  Shadows shadows = Shadows::captured;  ///< of guided interpolation
+  bool model_alone = false;             ///< what the fit would show without the photographs: for studies
+  int samples = 1;                      ///< per pixel, a regular or stratified pattern (deterministic)
+  std::set<std::string> layers;         ///< groups asked for; others cost nothing
   std::size_t memory_bytes = std::size_t{1} << 30;  ///< for blocks, operations and weights together
 };
 

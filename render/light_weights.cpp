@@ -7,8 +7,6 @@
 namespace srf {
 namespace {
 
-/// With fewer distant lights than this the exact weights of a hit cost less than a blend of shared vectors.
-constexpr std::size_t kFewestShared = 9;
 /// The key of a frame's only orientation; no corner of the grid has it.
 constexpr std::uint64_t kOnlyOrientation = ~std::uint64_t{0};
 
@@ -35,6 +33,21 @@ const float* LightGather::vector(const LightWeights& w, int pad, float* scratch_
   for (std::uint32_t e = w.first_entry; e < w.first_entry + w.entries; ++e)
     for (int c = 0; c < 3; ++c) scratch_vector[c * pad + entries[e].light] += entries[e].weight[c];
   return scratch_vector;
+}
+
+std::uint32_t LightGather::append(LightWeights w, int lights) {
+  w.entries = static_cast<std::uint32_t>(entries.size()) - w.first_entry;
+  if (w.entries > static_cast<std::uint32_t>(lights)) {  // a vector is smaller, and faster to multiply with
+    const int pad = lightPad(lights);
+    w.own = static_cast<std::uint32_t>(own.size());
+    own.resize(own.size() + 3 * static_cast<std::size_t>(pad), 0.f);
+    for (std::size_t e = w.first_entry; e < entries.size(); ++e)
+      for (int c = 0; c < 3; ++c) own[w.own + c * pad + entries[e].light] += entries[e].weight[c];
+    entries.resize(w.first_entry);
+    w.entries = 0;
+  }
+  weights.push_back(w);
+  return static_cast<std::uint32_t>(weights.size() - 1);
 }
 
 std::size_t LightGather::bytes() const {
@@ -124,18 +137,7 @@ std::uint32_t FrameLighting::gather(std::uint32_t list_index, const LitPoint& po
   for (const RestLight& light : lights_.rest)
     if (const auto at = list.find(light.light)) add(*at, Vec3{light.scale, light.scale, light.scale});
 
-  w.entries = static_cast<std::uint32_t>(out.entries.size()) - w.first_entry;
-  if (w.entries > static_cast<std::uint32_t>(list.count())) {  // a vector is smaller, and faster to multiply with
-    const int pad = lightPad(list.count());
-    w.own = static_cast<std::uint32_t>(out.own.size());
-    out.own.resize(out.own.size() + 3 * static_cast<std::size_t>(pad), 0.f);
-    for (std::size_t e = w.first_entry; e < out.entries.size(); ++e)
-      for (int c = 0; c < 3; ++c) out.own[w.own + c * pad + out.entries[e].light] += out.entries[e].weight[c];
-    out.entries.resize(w.first_entry);
-    w.entries = 0;
-  }
-  out.weights.push_back(w);
-  return static_cast<std::uint32_t>(out.weights.size() - 1);
+  return out.append(w, list.count());
 }
 
 void FrameLighting::computeShared(const SharedKey& key, float* vector) const {

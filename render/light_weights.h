@@ -64,6 +64,9 @@ struct LightGather {
   /// The weights as one vector of 3 * pad floats: a shared or own one, or `scratch_vector` where they had to be added
   /// up.
   const float* vector(const LightWeights& weights, int pad, float* scratch_vector) const;
+  /// Ends a hit's weights for a list of `lights` lights, whose entries are all those from weights.first_entry on, and
+  /// returns their handle.
+  std::uint32_t append(LightWeights weights, int lights);
   std::size_t bytes() const;
 };
 
@@ -78,6 +81,8 @@ struct LitPoint {
 /// The lights of one frame against the lists of acquired lights.
 class FrameLighting {
  public:
+  /// With fewer distant lights than this the exact weights of a hit cost less than shared ones.
+  static constexpr std::size_t kFewestShared = 9;
   struct Options {
     double sharing = 0;       ///< degrees (Accuracy::light_sharing)
     double min_distance = 0;  ///< units: least distance of a point light in A(d)

@@ -37,8 +37,9 @@ struct ExplainedHit {
   std::vector<ChosenView> chosen;
   std::vector<ShadingOperation> operations;  ///< of this hit, in the order in which they are added
   std::vector<Rgb> results;                  ///< what each operation adds
-  std::array<double, 3> color{};             ///< their sum
-  std::vector<ExplainedTexel> texels;        ///< their texels: the sum of tap times relit is `color` again, in double
+  std::array<double, 3> guided{};            ///< what the fitted model gives and takes; 0 where nothing guides
+  std::array<double, 3> color{};             ///< the sum of both, not below 0 where the model guides
+  std::vector<ExplainedTexel> texels;        ///< their texels: the sum of tap times relit is their sum again, in double
   std::vector<ExplainedLight> lights;        ///< by the lights of the view of most weight
 };
 

@@ -106,7 +106,7 @@ SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) 
 }
 
 Accuracy readAccuracy(const JsonNode& node) {
-  node.onlyKeys({"views", "lights", "frame", "light_sharing", "min_distance"});
+  node.onlyKeys({"views", "lights", "frame", "light_sharing", "min_distance", "shadow_rays"});
   Accuracy accuracy;
   if (const auto views = node.find("views")) accuracy.views = static_cast<int>(views->integer(1, 64));
   if (const auto lights = node.find("lights")) accuracy.lights = static_cast<int>(lights->integer(1, 64));
@@ -114,16 +114,20 @@ Accuracy readAccuracy(const JsonNode& node) {
     accuracy.frame = frame->choice({"bisector", "polar"}) == 0 ? FrameMode::bisector : FrameMode::polar;
   if (const auto degrees = node.find("light_sharing")) accuracy.light_sharing = numberWithin(*degrees, 0, 90);
   if (const auto distance = node.find("min_distance")) accuracy.min_distance = numberWithin(*distance, 1e-9, 1);
+  if (const auto rays = node.find("shadow_rays")) accuracy.shadow_rays = static_cast<int>(rays->integer(0, 1000000));
   return accuracy;
 }
 
-void readEffects(const JsonNode& node) {
+void readEffects(const JsonNode& node, Scene& scene) {
   node.onlyKeys({"shadows", "matte", "ground", "motion_blur", "depth_of_field"});
   for (const auto& [key, value] : node.raw().items()) {
-    if (key == "shadows" && node[key].choice({"captured", "deformed", "off"}) == 0) continue;
-    throw node[key].error(
-        "is not available for plain interpolation in this version; the one effect is \"shadows\": "
-        "\"captured\", which is also what holds without it");
+    if (key != "shadows") throw node[key].error("is not available in this version; the one effect is \"shadows\"");
+    constexpr Shadows kShadows[] = {Shadows::captured, Shadows::deformed, Shadows::off};
+    scene.shadows = kShadows[node[key].choice({"captured", "deformed", "off"})];
+    if (scene.interpolation == Interpolation::plain && scene.shadows != Shadows::captured)
+      throw node[key].error(
+          "asks for shadows by rays, which plain interpolation does not have: it shows the photographs' own "
+          "(\"captured\"); use \"interpolation\": \"guided\"");
   }
 }
 
@@ -159,10 +163,10 @@ Scene readScene(const std::filesystem::path& file, const std::vector<std::string
   if (const auto frames = root.find("frames")) scene.frames = readFrames(*frames);
   if (const auto fps = root.find("fps")) scene.fps = numberWithin(*fps, 1e-3, 1e4);
   if (const auto output = root.find("output")) scene.output = output->string();
-  if (const auto way = root.find("interpolation"); way && way->choice({"plain", "guided"}) == 1)
-    throw way->error("found 'guided', yet the model holds no fit; use \"plain\"");
+  if (const auto way = root.find("interpolation"))
+    scene.interpolation = way->choice({"plain", "guided"}) == 0 ? Interpolation::plain : Interpolation::guided;
   if (const auto samples = root.find("samples")) scene.samples = static_cast<int>(samples->integer(1, 1024));
-  if (const auto effects = root.find("effects")) readEffects(*effects);
+  if (const auto effects = root.find("effects")) readEffects(*effects, scene);
   if (const auto accuracy = root.find("accuracy")) scene.accuracy = readAccuracy(*accuracy);
   scene.content_hash = contentOf(root);
   return scene;

@@ -40,13 +40,28 @@ struct CapturedLight {
 };  ///< `light` empty: the one unnamed light
 using SceneLight = std::variant<PointLight, DirectionalLight, EnvironmentLight, CapturedLight>;
 
+/// How values between the samples of the field are made.
+enum class Interpolation {
+  automatic,  ///< guided where the model holds a fit, else plain
+  plain,      ///< the patent's
+  guided      ///< the patent's, of what the fitted model leaves over (render/guided_interpolation.h)
+};
+/// Which shadows fall on the surface.
+enum class Shadows {
+  automatic,  ///< guided: deformed where there is a deformation, else captured; plain: captured
+  captured,   ///< the rest pose's, as the photographs hold them
+  deformed,   ///< rays in the deformed model
+  off
+};
+
 /// Every approximation, each with an exact setting (M18).
 struct Accuracy {
   int views = 4;   ///< k nearest views
-  int lights = 4;  ///< k nearest acquired lights
+  int lights = 4;  ///< k nearest acquired lights; one less in the residual of guided interpolation
   FrameMode frame = FrameMode::bisector;
   double light_sharing = 2;    ///< degrees over which rotated light weights are shared; 0: exact
   double min_distance = 1e-3;  ///< least distance of a point light in A(d), of the object's diameter
+  int shadow_rays = 32;        ///< most a hit for environments; of their other lights the captured ones' shadows tell
 };
 
 struct Scene {
@@ -59,6 +74,8 @@ struct Scene {
   double fps = 24;
   std::string output;  ///< pattern with ####; relative to the working directory
   int samples = 1;     ///< per pixel
+  Interpolation interpolation = Interpolation::automatic;
+  Shadows shadows = Shadows::automatic;
   Accuracy accuracy;
   std::uint64_t content_hash = 0;  ///< of the file's keys that a picture depends on: all but srf, frames, output
 

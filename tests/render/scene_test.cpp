@@ -97,11 +97,12 @@ TEST_F(SceneTest, RefusalsNameThePlaceAndTheMend) {
   EXPECT_REFUSED(refusal(kCamera), "'lights' is missing");
   EXPECT_REFUSED(refusal(both + R"(, "sampels": 2)"), "/sampels", "'samples'");
   EXPECT_REFUSED(refusal(both + R"(, "samples": 0)"), "/samples", "from 1");
-  EXPECT_REFUSED(refusal(both + R"(, "interpolation": "guided")"), "/interpolation", "holds no fit", "\"plain\"");
-  EXPECT_REFUSED(refusal(both + R"(, "effects": {"shadows": "deformed"})"), "/effects/shadows", "not available");
+  EXPECT_REFUSED(refusal(both + R"(, "interpolation": "guide")"), "/interpolation", "'guided'");
+  EXPECT_REFUSED(refusal(both + R"(, "interpolation": "plain", "effects": {"shadows": "deformed"})"),
+                 "/effects/shadows", "plain interpolation", "\"guided\"");
   EXPECT_REFUSED(refusal(both + R"(, "effects": {"matte": true})"), "/effects/matte", "not available");
   EXPECT_REFUSED(refusal(both + R"(, "effects": {"mate": true})"), "/effects/mate", "'matte'");
-  EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"shadow_rays": 4})"), "/accuracy/shadow_rays", "unknown key");
+  EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"shadow_rays": -1})"), "/accuracy/shadow_rays", "from 0");
   EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"views": 0})"), "/accuracy/views", "from 1");
   EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"min_distance": 0})"), "/accuracy/min_distance");
   EXPECT_REFUSED(refusal(both + R"(, "frames": "5-3")"), "/frames", "backwards");

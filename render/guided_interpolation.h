@@ -1,0 +1,104 @@
+// Interpolation guided by the fitted reflectance model (model/reflectance_fit.h): the patent's interpolation, applied
+// to what the model leaves over.
+//
+//   f(p, l, v) = V(l) M(p, l, v) + V(l) sum_j w_j sum_i c_i [ S_ij - M(p, l_i, v_j) ]        lit residual
+//   f(p, l, v) = V(l) M(p, l, v) +      sum_j w_j sum_i d_i [ S_ij - V_i M(p, l_i, v_j) ]    indirect residual
+//
+// S_ij: what view j holds of p under light i. w_j: the view weights of M12. d_i: the light weights of M13. c_i: the
+// same restricted to captured lights that light p, times a ratio of cosines. V: whether light reaches p. Both are
+// linear in S: the light weights of a hit are merged over all lights of the frame as ever, the same blocks are read,
+// and what the model adds and takes away is a colour known before any block is. Near a captured light the second form
+// takes over, so that the photograph returns there with its own shadows. Everything is evaluated in acquisition space,
+// after L.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "model/deformed_model.h"
+#include "model/reflectance_fit.h"
+#include "render/light_weights.h"
+#include "render/look_up.h"
+#include "render/neighbour_table.h"
+#include "render/scene.h"
+#include "render/view_selection.h"
+
+namespace srf {
+
+/// What guided interpolation needs of a hit.
+struct GuidedQuery {
+  const SurfaceHit* hit = nullptr;
+  const LookUp* look_up = nullptr;
+  Direction<AcquisitionSpace> view;    ///< v
+  std::span<const ChosenView> chosen;  ///< weights sum 1
+};
+
+/// The hits of one block of pixels on their way, and memory for it.
+struct GuidedBlock {
+  struct Hit {
+    GuidedQuery query;
+    PointReflectance reflectance;
+    float gate = 0, indirect = 0;
+    std::array<float, 3> view{};  ///< v
+  };
+  std::vector<Hit> hits;
+  /// Of each hit and light of the frame (distant, then near; a row of GuidedLighting::rowLength()): direction in
+  /// acquisition space; irradiance on a plane facing it; how much of it reaches the point, below 0: not asked by a ray.
+  std::vector<float> x, y, z, visible;
+  std::vector<Vec3> near_irradiance;  ///< of each hit and near light
+
+  // Memory of one hit.
+  std::array<std::vector<float>, kModelTerms> terms;
+  std::vector<float> list_x, list_y, list_z;                         ///< directions to a list's lights
+  std::vector<float> lit, disagree, facing, usable, inverse_cosine;  ///< of each of them, at the hit
+  std::vector<float> stack_weights, model_weights;                   ///< 3 x pad: what S and M of each is multiplied by
+  std::vector<std::uint32_t> used;
+  std::vector<Penalised> order;
+  std::vector<Weighted> weights;
+  std::vector<LightShare> shares;
+};
+
+/// The lights of one frame, guided by the fit.
+class GuidedLighting {
+ public:
+  struct Options {
+    Shadows shadows = Shadows::captured;
+    int shadow_rays = 32;      ///< most a hit for distant lights; of the others the captured lights' bits tell
+    double min_distance = 0;   ///< units: least distance of a point light in A(d)
+    bool model_alone = false;  ///< no residual: what the model would show without the photographs
+  };
+  /// Everything must outlive it. `tables`: of each list, where its weights for distant lights may be tabulated.
+  /// `occluders`: the model whose shadows fall, deformed or at rest.
+  GuidedLighting(const ReflectanceFit& fit, const FrameLighting& lighting,
+                 std::span<const std::optional<NeighbourTable>> tables, const DeformedModel& occluders,
+                 std::span<const SourceView> views, std::span<const std::uint32_t> list_of_view,
+                 const Options& options);
+
+  /// Blends the fit at the hits and casts their shadow rays.
+  void prepare(std::span<const GuidedQuery> queries, GuidedBlock& block) const;
+  /// Appends the weights of a list at hit `index` of the block, whose gate must be above 0, returns their handle, and
+  /// adds to `color` what the model gives and takes for the views of that list.
+  std::uint32_t gather(GuidedBlock& block, std::size_t index, std::uint32_t list, LightGather& out,
+                       std::array<double, 3>& color) const;
+
+ private:
+  std::size_t rowLength() const { return row_; }
+  void blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const;
+  void castShadows(GuidedBlock& block) const;
+  void readBits(const AcquiredLights& list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
+
+  const ReflectanceFit& fit_;
+  const FrameLighting& lighting_;
+  std::span<const std::optional<NeighbourTable>> tables_;
+  const DeformedModel& occluders_;
+  std::span<const SourceView> views_;
+  std::span<const std::uint32_t> list_of_view_;
+  Options options_;
+  std::size_t row_;  ///< lights of the frame, padded for the kernel
+  double offset_;    ///< of shadow rays along the normal, units
+  bool corrected_;   ///< photographs overruled the rays' bits somewhere
+};
+
+}  // namespace srf
