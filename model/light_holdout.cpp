@@ -41,6 +41,40 @@ void LightHoldout::transpose(const PointSamples& samples, const std::array<std::
   }
 }
 
+template <class Accept>
+double LightHoldout::nearest(const LightLists::List& list, const PointSamples::Lights& lights, int i, int k,
+                             const Accept& accept, std::vector<Weighted>& weights) {
+  const std::size_t wanted = static_cast<std::size_t>(k) + 1;
+  candidates_.clear();
+  const auto chord2 = [&](std::uint32_t other) {
+    return square(double{lights.x[i]} - lights.x[other]) + square(double{lights.y[i]} - lights.y[other]) +
+           square(double{lights.z[i]} - lights.z[other]);
+  };
+  if (list.distant) {  // by rising angle
+    for (const std::uint32_t other : list.others[i]) {
+      if (accept(other)) candidates_.push_back({chord2(other), other});
+      if (candidates_.size() == wanted) break;
+    }
+  } else {
+    for (std::uint32_t other = 0; other < static_cast<std::uint32_t>(lights.count); ++other) {
+      if (other == static_cast<std::uint32_t>(i) || !accept(other)) continue;
+      const Penalised found{chord2(other), other};
+      if (candidates_.size() < wanted)
+        candidates_.push_back(found);
+      else if (found < candidates_.back())
+        candidates_.back() = found;
+      else
+        continue;
+      for (std::size_t at = candidates_.size() - 1; at > 0 && candidates_[at] < candidates_[at - 1]; --at)
+        std::swap(candidates_[at], candidates_[at - 1]);
+    }
+  }
+  for (Penalised& c : candidates_) c.penalty = 2 * std::asin(std::min(1.0, 0.5 * std::sqrt(c.penalty)));
+  const double first = candidates_.empty() ? kPi : candidates_.front().penalty;
+  lumigraphWeights(candidates_, k, weights);
+  return first;
+}
+
 HoldoutError LightHoldout::operator()(const FitInput& input, const PointSamples& samples,
                                       const std::array<std::vector<float>, 3>& model) {
   HoldoutError error;
@@ -48,37 +82,18 @@ HoldoutError LightHoldout::operator()(const FitInput& input, const PointSamples&
     const PointSamples::Lights& lights = samples.lights()[l];
     const LightLists::List& list = input.lists.lists[lights.list];
     transpose(samples, model, l);
-    if (!list.distant) {
-      std::vector<Vec3> directions(lights.count);
-      std::vector<bool> known(lights.count);
-      for (int k = 0; k < lights.count; ++k) {
-        directions[k] = {lights.x[k], lights.y[k], lights.z[k]};
-        known[k] = directions[k] != Vec3{};
-      }
-      near_ = othersByAngle(directions, known);
-    }
-    const auto& others_of = list.distant ? list.others : near_;
     for (int i = 0; i < lights.count; ++i) {
-      const auto& others = others_of[i];
-      if (others.empty()) continue;
-      candidates_.clear();
-      for (std::size_t k = 0; k < others.size() && k <= kPlainLights; ++k)
-        candidates_.push_back({others[k].angle, others[k].light});
-      lumigraphWeights(candidates_, kPlainLights, plain_);
-
+      const bool known = lights.x[i] != 0 || lights.y[i] != 0 || lights.z[i] != 0;
+      if (!known) continue;
+      const auto all = [&](int k) { return lights.x[k] != 0 || lights.y[k] != 0 || lights.z[k] != 0; };
+      nearest(list, lights, i, kPlainLights, all, plain_);
+      if (plain_.empty()) continue;  // a lone light: nothing could stand in for it
       const bool is_lit = lights.lit[i] > 0;
-      double nearest = 0;
       lit_.clear();
       if (is_lit) {
-        candidates_.clear();
-        for (const auto& other : others) {
-          if (!(lights.around[other.light] > 0 && lights.cosine[other.light] > kLowest)) continue;
-          if (candidates_.empty()) nearest = other.angle;
-          candidates_.push_back({other.angle, other.light});
-          if (candidates_.size() > kLitLights) break;
-        }
-        lumigraphWeights(candidates_, kLitLights, lit_);
-        const double fade = 1 - smoothstep(kFadeFrom, kFadeTo, nearest);
+        const auto usable = [&](int k) { return lights.around[k] > 0 && lights.cosine[k] > kLowest; };
+        const double angle = nearest(list, lights, i, kLitLights, usable, lit_);
+        const double fade = 1 - smoothstep(kFadeFrom, kFadeTo, angle);
         for (Weighted& w : lit_)
           w.weight *= fade * std::min(kMostRatio, lights.cosine[i] / std::max(lights.cosine[w.source], kCosine));
       }

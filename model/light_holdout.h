@@ -23,12 +23,15 @@ class LightHoldout {
 
  private:
   void transpose(const PointSamples& samples, const std::array<std::vector<float>, 3>& model, std::size_t lights);
+  /// Weights of the k lights nearest to light i of those that `accept` takes; returns the angle to the first, radians.
+  template <class Accept>
+  double nearest(const LightLists::List& list, const PointSamples::Lights& lights, int i, int k, const Accept& accept,
+                 std::vector<Weighted>& weights);
 
   std::vector<const PointSamples::View*> views_;
   // Of the lights of one list, a row for each: channels of all its views, times sqrt(n.v).
   int width_ = 0;
   std::vector<float> value_, model_, residual_, weight_;
-  std::vector<std::vector<LightLists::List::Other>> near_;
   std::vector<Penalised> candidates_;
   std::vector<Weighted> plain_, lit_;
   std::vector<float> plain_row_, lit_row_, indirect_row_;

@@ -83,23 +83,6 @@ bool wellConditioned(const NormalEquations<kModelTerms>& e) {
 
 }  // namespace
 
-std::vector<std::vector<LightLists::List::Other>> othersByAngle(const std::vector<Vec3>& directions,
-                                                                const std::vector<bool>& known) {
-  using Other = LightLists::List::Other;
-  std::vector<std::vector<Other>> others(directions.size());
-  for (std::uint32_t i = 0; i < directions.size(); ++i) {
-    if (!known[i]) continue;
-    for (std::uint32_t j = 0; j < directions.size(); ++j)
-      if (j != i && known[j]) others[i].push_back({j, angleBetweenUnit(directions[i], directions[j])});
-    const auto kept = std::min<std::size_t>(others[i].size(), LightLists::List::kOthers);
-    std::partial_sort(
-        others[i].begin(), others[i].begin() + static_cast<std::ptrdiff_t>(kept), others[i].end(),
-        [](const Other& a, const Other& b) { return a.angle != b.angle ? a.angle < b.angle : a.light < b.light; });
-    others[i].resize(kept);
-  }
-  return others;
-}
-
 LightLists::LightLists(const SrfManifest& field) {
   for (const StoredView& view : field.views) {
     const auto same = std::find_if(lists.begin(), lists.end(), [&](const List& l) { return l.ids == view.lights; });
@@ -107,15 +90,23 @@ LightLists::LightLists(const SrfManifest& field) {
     if (same != lists.end()) continue;
     List list;
     list.ids = view.lights;
-    std::vector<Vec3> directions;
-    std::vector<bool> known;
-    for (const LightId id : list.ids) {
-      const CaptureLight& light = field.lights[id.value];
-      list.distant = list.distant && light.kind != LightKind::point;
-      directions.push_back(light.direction.raw());
-      known.push_back(light.kind != LightKind::captured);
+    const auto light = [&](std::uint32_t k) -> const CaptureLight& { return field.lights[list.ids[k].value]; };
+    std::vector<std::uint32_t> known;
+    for (std::uint32_t k = 0; k < list.ids.size(); ++k) {
+      if (light(k).kind != LightKind::captured) known.push_back(k);
+      list.distant = list.distant && light(k).kind != LightKind::point;
     }
-    if (list.distant) list.others = othersByAngle(directions, known);
+    if (list.distant) list.others.resize(list.ids.size());
+    for (const std::uint32_t k : list.distant ? known : std::vector<std::uint32_t>()) {
+      std::vector<std::pair<double, std::uint32_t>> order;
+      for (const std::uint32_t other : known) {
+        const Vec3 chord = light(k).direction.raw() - light(other).direction.raw();
+        if (other != k) order.emplace_back(dot(chord, chord), other);
+      }
+      std::sort(order.begin(), order.end());
+      order.resize(std::min(order.size(), LightLists::List::kOthers));
+      for (const auto& [chord, other] : order) list.others[k].push_back(other);
+    }
     lists.push_back(std::move(list));
   }
 }
@@ -272,8 +263,7 @@ double PointSamples::fit(PointReflectance& point, int rounds) {
   return error;
 }
 
-void PointSamples::evaluate(const PointReflectance& point, std::array<std::vector<float>, 3>& model) {
-  terms(point);
+void PointSamples::evaluate(const PointReflectance& point, std::array<std::vector<float>, 3>& model) const {
   for (int c = 0; c < 3; ++c) {
     model[c].resize(samples_);
     for (int s = 0; s < samples_; ++s) {

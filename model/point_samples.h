@@ -20,21 +20,13 @@ struct LightLists {
   struct List {
     std::vector<LightId> ids;
     bool distant = true;  ///< no light at a finite distance: the order below holds everywhere
-    /// Of each light of known direction the others by rising angle, at most kOthers.
-    static constexpr int kOthers = 64;
-    struct Other {
-      std::uint32_t light;  ///< position in ids
-      double angle;         ///< radians
-    };
-    std::vector<std::vector<Other>> others;
+    /// Of each light of known direction the others by rising angle, at most kOthers: positions in ids.
+    static constexpr std::size_t kOthers = 64;
+    std::vector<std::vector<std::uint32_t>> others;
   };
   std::vector<List> lists;
   std::vector<std::uint32_t> of_view;
 };
-/// By rising angle; ties by position.
-std::vector<std::vector<LightLists::List::Other>> othersByAngle(const std::vector<Vec3>& directions,
-                                                                const std::vector<bool>& known);
-
 /// What all points share; must outlive PointSamples.
 struct FitInput {
   const SrfManifest& field;
@@ -78,8 +70,8 @@ class PointSamples {
   /// squares, more: with outliers (shadow outlines, indirect light, registration) weighed down.
   /// Returns the weighted squared error over the weighted square of the samples, both of the plain weights.
   double fit(PointReflectance& point, int rounds);
-  /// The model at every sample: [channel][sample], for the coefficients of `point`.
-  void evaluate(const PointReflectance& point, std::array<std::vector<float>, 3>& model);
+  /// The model at every sample: [channel][sample], for the `point` that fit() was last called with.
+  void evaluate(const PointReflectance& point, std::array<std::vector<float>, 3>& model) const;
 
  private:
   void setWeights();

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <numeric>
 #include <random>
@@ -16,11 +15,13 @@
 namespace srf {
 namespace {
 
-constexpr std::size_t kChunk = 64;          // points
-constexpr int kFewestLights = 8;            // of known direction
-constexpr std::size_t kSearchPoints = 900;  // that tell the roughness
-constexpr int kFewestSearchSamples = 24;    // lit ones, of such a point
-constexpr int kRounds = 3;                  // of robust weights
+constexpr std::size_t kChunk = 64;           // points
+constexpr int kFewestLights = 8;             // of known direction
+constexpr std::size_t kSearchPoints = 900;   // that tell the roughness
+constexpr int kFewestSearchSamples = 24;     // lit ones, of such a point
+constexpr std::size_t kTangentPoints = 150;  // of those, that tell whether it depends on the tangent
+constexpr double kAnisotropyPays = 0.85;     // at most this share of the error is left
+constexpr int kRounds = 3;                   // of robust weights
 constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
 
 std::array<float, 3> floats(const Vec3& v) {
@@ -60,37 +61,93 @@ std::vector<SearchPoint> searchPoints(const FitInput& input, std::span<const Dir
   return found;
 }
 
+constexpr int kTangents = 8;  // angles that are tried for the direction of brushing
+
+// The tangent angle whose plain fit explains the samples best: the best of eight and the vertex of the parabola through
+// it and its neighbours. Returns that fit's error; `point` has the frame.
+double findTangent(PointSamples& samples, const Direction<AcquisitionSpace>& normal, PointReflectance& point) {
+  std::array<double, kTangents> error;
+  for (int k = 0; k < kTangents; ++k) {
+    setFrame(point, normal, k * kPi / kTangents);
+    error[k] = samples.fit(point, 1);
+  }
+  const int best = static_cast<int>(std::min_element(error.begin(), error.end()) - error.begin());
+  const double before = error[(best + kTangents - 1) % kTangents], after = error[(best + 1) % kTangents];
+  const double bend = before + after - 2 * error[best];
+  const double shift = bend > 0 ? std::clamp(0.5 * (before - after) / bend, -0.5, 0.5) : 0;
+  setFrame(point, normal, (best + shift) * kPi / kTangents);
+  return error[best];
+}
+
 // Mean over the points of the share of the samples that the model leaves unexplained.
-double searchError(std::vector<SearchPoint>& points, const Roughness& roughness) {
+double searchError(std::span<SearchPoint> points, const Roughness& roughness) {
   std::vector<double> errors(points.size(), 0);
   parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       PointReflectance tried;
-      setFrame(tried, points[i].normal, 0);
       tried.alpha_x = roughness.x, tried.alpha_y = roughness.y;
-      errors[i] = points[i].samples.fit(tried, 1);
+      if (roughness.x == roughness.y) {
+        setFrame(tried, points[i].normal, 0);
+        errors[i] = points[i].samples.fit(tried, 1);
+      } else {
+        errors[i] = findTangent(points[i].samples, points[i].normal, tried);
+      }
     }
   });
   return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(errors.size());
 }
 
-// The least of a function of the logarithm of alpha: eight values, then the better of two around the best, ever closer.
-float searchAlpha(const std::function<double(float)>& error) {
+Roughness clamped(double log_x, double log_y) {
+  const auto alpha = [](double log) { return std::clamp(static_cast<float>(std::exp(log)), kLeastAlpha, kMostAlpha); };
+  return {alpha(log_x), alpha(log_y)};
+}
+
+struct RoughnessSearch {
+  Roughness best;
+  double error = std::numeric_limits<double>::infinity();
+
+  /// Whether it is the best so far.
+  bool consider(std::span<SearchPoint> points, const Roughness& tried, Reporter& reporter) {
+    const double e = searchError(points, tried);
+    reporter.debug("fit: alpha " + std::to_string(tried.x) + " " + std::to_string(tried.y) + ": " + std::to_string(e));
+    if (!(e < error)) return false;
+    error = e, best = tried;
+    return true;
+  }
+};
+
+// One roughness for all tangents: eight values, then the better of two around the best, ever closer.
+RoughnessSearch searchIsotropic(std::span<SearchPoint> points, Reporter& reporter) {
   constexpr int kValues = 8, kRefinements = 4;
   const double first = std::log(0.04), last = std::log(0.8);
-  double step = (last - first) / (kValues - 1), best = 0, least = std::numeric_limits<double>::infinity();
-  const auto consider = [&](double at) {
-    const double e = error(static_cast<float>(std::exp(at)));
-    if (e < least) least = e, best = at;
-  };
-  for (int k = 0; k < kValues; ++k) consider(first + k * step);
+  RoughnessSearch search;
+  double step = (last - first) / (kValues - 1);
+  for (int k = 0; k < kValues; ++k) search.consider(points, clamped(first + k * step, first + k * step), reporter);
   for (int k = 0; k < kRefinements; ++k) {
     step /= 2;
-    const double middle = best;
-    consider(middle - step);
-    consider(middle + step);
+    const double middle = std::log(search.best.x);
+    for (const double at : {middle - step, middle + step}) search.consider(points, clamped(at, at), reporter);
   }
-  return std::clamp(static_cast<float>(std::exp(best)), kLeastAlpha, kMostAlpha);
+  return search;
+}
+
+// Two: a coarse grid about the one found for all tangents, then steps along each, ever shorter.
+RoughnessSearch searchAnisotropic(std::span<SearchPoint> points, float alpha, Reporter& reporter) {
+  constexpr int kRefinements = 4;
+  RoughnessSearch search;
+  const double middle = std::log(alpha);
+  for (const double x : {-1.6, -0.9, -0.3})
+    for (const double y : {0.3, 0.9, 1.6}) search.consider(points, clamped(middle + x, middle + y), reporter);
+  double step = 0.35;
+  for (int k = 0; k < kRefinements; ++k, step /= 2)
+    for (int moves = 0; moves < 4; ++moves) {
+      const double x = std::log(search.best.x), y = std::log(search.best.y);
+      bool better = false;
+      for (const auto& [dx, dy] : {std::pair{-step, 0.0}, {step, 0.0}, {0.0, -step}, {0.0, step}})
+        better = search.consider(points, clamped(x + dx, y + dy), reporter) || better;
+      if (!better) break;
+    }
+  return search;
 }
 
 }  // namespace
@@ -121,14 +178,15 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
       reporter.info("no reflectance model: no point has samples enough; interpolation stays plain");
       return std::nullopt;
     }
-    Reporter::Stage stage(reporter, "fit: roughness", 16);
-    const float alpha = searchAlpha([&](float tried) {
-      const double e = searchError(points, {tried, tried});
-      reporter.debug("fit: alpha " + std::to_string(tried) + ": " + std::to_string(e));
-      stage.advance();
-      return e;
-    });
-    roughness = {alpha, alpha};
+    Reporter::Stage stage(reporter, "fit: roughness", 2);
+    const RoughnessSearch isotropic = searchIsotropic(points, reporter);
+    roughness = isotropic.best;
+    stage.advance();
+    // Two roughnesses explain a little more of anything: taken where it is much.
+    const std::span few(points.data(), std::min(points.size(), kTangentPoints));
+    const RoughnessSearch anisotropic = searchAnisotropic(few, roughness.x, reporter);
+    if (anisotropic.error < kAnisotropyPays * searchError(few, roughness)) roughness = anisotropic.best;
+    stage.advance();
   }
 
   ReflectanceFit fit;
@@ -146,6 +204,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
         fitted.reflectance.alpha_x = roughness.x, fitted.reflectance.alpha_y = roughness.y;
         point.load(input, i, normals[i]);
         if (point.litSamples() == 0) continue;
+        if (roughness.x != roughness.y) findTangent(point, normals[i], fitted.reflectance);
         point.fit(fitted.reflectance, kRounds);
         point.evaluate(fitted.reflectance, values);
         HoldoutError& e = errors[i] = hold_out(input, point, values);
