@@ -405,12 +405,15 @@ std::optional<ImportedShape> parametricShape(const std::string& name, const Box<
 }
 
 ImportedShape importShape(const std::filesystem::path& file, Reporter& reporter) {
-  AcquisitionMesh mesh = readMesh(file);
-  if (!mesh.triangles.empty()) return importMesh(std::move(mesh), file.string(), reporter);
+  return importShape(readMesh(file), file.string(), reporter);
+}
+
+ImportedShape importShape(AcquisitionMesh mesh, const std::string& name, Reporter& reporter) {
+  if (!mesh.triangles.empty()) return importMesh(std::move(mesh), name, reporter);
   try {
-    return importPoints(mesh, file.string(), reporter);
+    return importPoints(mesh, name, reporter);
   } catch (const CGAL::Failure_exception& failure) {
-    throw badInput(file.string(), std::string("no surface could be made of the points: ") + failure.what());
+    throw badInput(name, std::string("no surface could be made of the points: ") + failure.what());
   }
 }
 

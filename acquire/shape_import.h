@@ -24,5 +24,7 @@ std::optional<ImportedShape> parametricShape(const std::string& name, const Box<
 /// Reads a PLY/OBJ. With faces: cleaned, oriented outwards, holes reported. Without: a point cloud becomes a surface
 /// (normals estimated and oriented where absent, outliers dropped, Poisson reconstruction).
 ImportedShape importShape(const std::filesystem::path& file, Reporter& reporter);
+/// The same for a mesh that was read already; `name` stands for the file in messages.
+ImportedShape importShape(AcquisitionMesh mesh, const std::string& name, Reporter& reporter);
 
 }  // namespace srf

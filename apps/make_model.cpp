@@ -7,6 +7,7 @@
 #include "base/error.h"
 #include "base/json.h"
 #include "base/mesh_io.h"
+#include "model/gltf_pose.h"
 
 namespace srf {
 namespace {
@@ -46,9 +47,11 @@ ImportedShape shapeFor(const std::string& shape, const std::filesystem::path& sr
     const std::string near = nearestWord(shape, kParametric);
     throw badInput(shape,
                    "is no file and no shape this program knows; expected hull, sphere, box, cylinder, plane, torus "
-                   "or a PLY or OBJ file" +
+                   "or a PLY, OBJ or glTF file" +
                        (near.empty() ? "" : "; did you mean '" + near + "'?"));
   }
+  const std::string suffix = std::filesystem::path(shape).extension().string();
+  if (suffix == ".glb" || suffix == ".gltf") return importShape(meshFromGltf(shape), shape, reporter);
   return importShape(shape, reporter);
 }
 

@@ -9,9 +9,9 @@
 
 namespace srf {
 
-/// `shape`: "hull", a parametric name (sphere, box, cylinder, plane, torus) or a mesh or point file. Stores the model
-/// under `name` (empty: "mesh" or "surfels"), makes it the active one, fits the reflectance model to its points where
-/// `fit` is given, and returns it.
+/// `shape`: "hull", a parametric name (sphere, box, cylinder, plane, torus) or a mesh (PLY, OBJ, glTF) or point file.
+/// Stores the model under `name` (empty: "mesh" or "surfels"), makes it the active one, fits the reflectance model to
+/// its points where `fit` is given, and returns it.
 DeformableModel makeModel(const std::filesystem::path& srf_folder, const std::string& shape,
                           const ModelOptions& options, const std::optional<FitOptions>& fit, Reporter& reporter,
                           const std::string& name = "");

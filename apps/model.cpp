@@ -4,6 +4,7 @@
 
 #include "apps/make_model.h"
 #include "apps/program.h"
+#include "model/gltf_export.h"
 
 namespace srf {
 namespace {
@@ -34,14 +35,15 @@ void printSummary(const DeformableModel& model) {
 int main(int argc, char** argv) {
   using namespace srf;
   Program program("model", "Makes the model inside an SRF", "GPL-3.0-or-later (links CGAL)");
-  std::string srf_folder, kind = "mesh", shape = "hull", name, fit = "auto";
+  std::string srf_folder, kind = "mesh", shape = "hull", name, fit = "auto", export_file;
   ModelOptions options;
   CLI::App& app = program.app();
   app.add_option("SRF", srf_folder, "the field, X.srf")->required();
   app.add_option("--kind", kind, "mesh (triangles) or surfels (elliptical splats)")
       ->check(CLI::IsMember({"mesh", "surfels"}))
       ->capture_default_str();
-  app.add_option("--shape", shape, "hull, a PLY or OBJ file (mesh or points), sphere, box, cylinder, plane or torus")
+  app.add_option("--shape", shape,
+                 "hull, a PLY, OBJ or glTF file (mesh or points), sphere, box, cylinder, plane or torus")
       ->capture_default_str();
   app.add_option("--surfels", options.surfels, "about how many surfels; 0: one pixel each, 20000 to 400000")
       ->capture_default_str();
@@ -53,10 +55,21 @@ int main(int argc, char** argv) {
   app.add_option("--fit", fit, "auto: fits a reflectance model that guides interpolation, where lights are known; off")
       ->check(CLI::IsMember({"auto", "off"}))
       ->capture_default_str();
+  app.add_option(
+      "--export", export_file,
+      "write the rest mesh, to be rigged elsewhere and to come back as a skin: FILE.glb or FILE.ply; with no "
+      "other option, that of the model which is there");
   return program.run(argc, argv, [&](Reporter& reporter) {
     options.kind = kind == "mesh" ? ModelKind::mesh : ModelKind::surfels;
+    const bool asked = app.count("--kind") + app.count("--shape") + app.count("--surfels") +
+                           app.count("--visibility-bias") + app.count("--name") + app.count("--fit") >
+                       0;
     std::optional<FitOptions> fitting;
     if (fit == "auto") fitting = FitOptions{program.memoryBudget()};
-    printSummary(makeModel(srf_folder, shape, options, fitting, reporter, name));
+    const DeformableModel model = export_file.empty() || asked
+                                      ? makeModel(srf_folder, shape, options, fitting, reporter, name)
+                                      : loadModel(srf_folder, readManifest(srf_folder));
+    printSummary(model);
+    if (!export_file.empty()) exportRestMesh(model.restMesh(), export_file);
   });
 }

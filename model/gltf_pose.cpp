@@ -153,4 +153,14 @@ PosedMesh posedMesh(const Gltf& gltf, int node_index, const GltfPose& pose) {
   return posed;
 }
 
+AcquisitionMesh meshFromGltf(const std::filesystem::path& file) {
+  const Gltf gltf = readGltf(file);
+  const int node = gltf.meshNode("", file.string());
+  AcquisitionMesh mesh;
+  for (const Vec3& p : posedMesh(gltf, node, poseAt(gltf, nullptr, 0)).positions)
+    mesh.positions.emplace_back(objectFromGltf(p));
+  mesh.triangles = gltf.meshes[static_cast<std::size_t>(gltf.nodes[static_cast<std::size_t>(node)].mesh)].triangles;
+  return mesh;
+}
+
 }  // namespace srf

@@ -21,4 +21,7 @@ struct PosedMesh {
 /// The vertices of the mesh at `node` (which has one).
 PosedMesh posedMesh(const Gltf& gltf, int node, const GltfPose& pose);
 
+/// The file's mesh as it stands, turned to our axes: a shape to make a model of. Throws as readGltf and meshNode do.
+AcquisitionMesh meshFromGltf(const std::filesystem::path& file);
+
 }  // namespace srf
