@@ -256,6 +256,14 @@ FrameLights LightSet::at(double frame) const {
       for (const DistantLight& light : environments_[environments++].lights)
         lights.distant.push_back(
             {Direction<ObjectSpace>::fromUnit(turn * light.direction.raw()), scale * light.irradiance});
+    } else if (const auto* from_file = std::get_if<FileLights>(&scene_.lights[i])) {
+      for (const FileLights::Light& light : from_file->at(frame, scene_.fps)) {
+        if (light.directional) {
+          lights.distant.push_back({Direction<ObjectSpace>::fromUnit(light.place), light.amount});
+        } else {
+          lights.near_lights.push_back({Point<ObjectSpace>(light.place), light.amount});
+        }
+      }
     } else {
       lights.rest.push_back({captured_[captured++], std::get<CapturedLight>(scene_.lights[i]).scale.at(frame)});
     }

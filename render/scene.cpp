@@ -50,10 +50,12 @@ Animated<double> numberOr(const JsonNode& parent, std::string_view key, double o
   return node ? readAnimatedNumber(*node) : Animated<double>(otherwise);
 }
 
-SceneCamera readCamera(const JsonNode& node) {
+SceneCamera readCamera(const JsonNode& node, const std::filesystem::path& folder) {
+  if (node.has("gltf")) return FileCamera(node, folder);
   if (!node.has("look_at")) {
-    node.onlyKeys({SRF_LENS_KEYS, "transform_matrix", "look_at", "vfov"});
-    if (!node.has("transform_matrix")) throw node.error("has neither look_at nor transform_matrix; add one of them");
+    node.onlyKeys({SRF_LENS_KEYS, "transform_matrix", "look_at", "vfov", "gltf"});
+    if (!node.has("transform_matrix"))
+      throw node.error("has neither look_at, transform_matrix nor gltf; add one of them");
     if (const auto vfov = node.find("vfov"))
       throw vfov->error("belongs to look_at; give fl_x and fl_y beside a transform_matrix");
     // The file's camera stands in object space; the reader's type speaks of a capture's.
@@ -80,7 +82,7 @@ SceneCamera readCamera(const JsonNode& node) {
 }
 
 SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) {
-  switch (node["type"].choice({"point", "directional", "environment", "captured"})) {
+  switch (node["type"].choice({"point", "directional", "environment", "captured", "gltf"})) {
     case 0:
       node.onlyKeys({"type", "position", "intensity"});
       return PointLight{readAnimatedVec3(node["position"]), readAnimatedVec3(node["intensity"])};
@@ -99,6 +101,8 @@ SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) 
       if (const auto samples = node.find("samples")) light.samples = static_cast<int>(samples->integer(0, 1000000));
       return light;
     }
+    case 4:
+      return FileLights(node, folder);
     default:
       node.onlyKeys({"type", "light", "scale"});
       return CapturedLight{node.has("light") ? node["light"].string() : "", numberOr(node, "scale", 1)};
@@ -155,7 +159,7 @@ Scene readScene(const std::filesystem::path& file, const std::vector<std::string
   Scene scene;
   scene.file = file;
   if (const auto srf = root.find("srf")) scene.srf = folder / srf->string();
-  scene.camera = readCamera(root["camera"]);
+  scene.camera = readCamera(root["camera"], folder);
   if (const auto list = root.find("deformation"))
     scene.deformation = AnimatedDeformation::parse(*list, folder, reporter);
   const JsonNode lights = root["lights"];
@@ -169,11 +173,18 @@ Scene readScene(const std::filesystem::path& file, const std::vector<std::string
   if (const auto effects = root.find("effects")) readEffects(*effects, scene);
   if (const auto accuracy = root.find("accuracy")) scene.accuracy = readAccuracy(*accuracy);
   scene.content_hash = contentOf(root);
+  const auto mix = [&scene](std::uint64_t hash) {
+    scene.content_hash = contentHash(&hash, sizeof hash, scene.content_hash);
+  };
+  if (const auto* from_file = std::get_if<FileCamera>(&scene.camera)) mix(from_file->contentHash());
+  for (const SceneLight& light : scene.lights)
+    if (const auto* from_file = std::get_if<FileLights>(&light)) mix(from_file->contentHash());
   return scene;
 }
 
 Camera<ObjectSpace> Scene::cameraAt(double frame) const {
   if (const auto* fixed = std::get_if<Camera<ObjectSpace>>(&camera)) return *fixed;
+  if (const auto* from_file = std::get_if<FileCamera>(&camera)) return from_file->at(frame / fps);
   const auto& moving = std::get<LookAtCamera>(camera);
   const std::string where = file.string() + ": /camera";
   const std::string at_frame = " at frame " + numberText(frame);

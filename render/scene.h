@@ -12,6 +12,7 @@
 #include "base/camera.h"
 #include "model/deformation.h"
 #include "model/local_frame.h"
+#include "render/gltf_scene.h"
 
 namespace srf {
 
@@ -20,7 +21,7 @@ struct LookAtCamera {
   Animated<double> vfov;  ///< degrees
   Animated<Vec3> eye, target, up;
 };
-using SceneCamera = std::variant<LookAtCamera, Camera<ObjectSpace>>;
+using SceneCamera = std::variant<LookAtCamera, Camera<ObjectSpace>, FileCamera>;
 
 struct PointLight {
   Animated<Vec3> position, intensity;
@@ -38,7 +39,7 @@ struct CapturedLight {
   std::string light;
   Animated<double> scale;
 };  ///< `light` empty: the one unnamed light
-using SceneLight = std::variant<PointLight, DirectionalLight, EnvironmentLight, CapturedLight>;
+using SceneLight = std::variant<PointLight, DirectionalLight, EnvironmentLight, CapturedLight, FileLights>;
 
 /// How values between the samples of the field are made.
 enum class Interpolation {
@@ -77,7 +78,8 @@ struct Scene {
   Interpolation interpolation = Interpolation::automatic;
   Shadows shadows = Shadows::automatic;
   Accuracy accuracy;
-  std::uint64_t content_hash = 0;  ///< of the file's keys that a picture depends on: all but srf, frames, output
+  std::uint64_t content_hash = 0;  ///< of the file's keys that a picture depends on (all but srf, frames, output), and
+                                   ///< of the glTF files of its camera and lights
 
   Camera<ObjectSpace> cameraAt(double frame) const;
 };

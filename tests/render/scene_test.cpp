@@ -5,6 +5,8 @@
 #include "base/error.h"
 #include "base/files.h"
 #include "base/numeric.h"
+#include "render/light_set.h"
+#include "tests/model/tiny_gltf.h"
 #include "tests/support/test_support.h"
 
 namespace srf {
@@ -206,6 +208,76 @@ TEST(Frames, NumbersStandInTheFilesName) {
   EXPECT_EQ(frameFile("b.%04d.exr", 12), "b.0012.exr");
   EXPECT_EQ(frameFile("b.exr", 12), "b.0012.exr");
   EXPECT_EQ(frameFile("b.####.exr", -5), "b.-0005.exr");
+}
+
+// --- Cameras and lights of a glTF -----------------------------------------------------------------------------------
+
+// Node 0 a camera 2 up the file's y that slides along its x; node 1 a lamp, node 2 a sun turned to shine along the
+// file's -x, node 3 a spot.
+std::string stageFile(const char* camera = R"({"type": "perspective", "perspective": {"yfov": 0.5}})") {
+  test::TinyGltf tiny;
+  tiny.json["cameras"] = {Json::parse(camera)};
+  tiny.json["nodes"] = Json::parse(R"([{"camera": 0, "name": "eye", "translation": [0, 2, 0], "scale": [3, 3, 3]},
+    {"translation": [1, 2, 3], "extensions": {"KHR_lights_punctual": {"light": 0}}},
+    {"rotation": [0, 0.7071067811865476, 0, 0.7071067811865476], "extensions": {"KHR_lights_punctual": {"light": 1}}}])");
+  tiny.json["extensions"] = Json::parse(R"({"KHR_lights_punctual": {"lights": [
+    {"type": "point", "name": "lamp", "intensity": 100, "color": [1, 0.5, 0]}, {"type": "directional", "name": "sun"}]}})");
+  tiny.animate(0, "translation", "LINEAR", {0, 1}, {0, 2, 0, 6, 2, 0});
+  return tiny.text();
+}
+
+TEST_F(SceneTest, TheCameraOfAGltfIsThatCameraOverTime) {
+  writeTextFile(folder_ / "stage.gltf", stageFile());
+  const Scene scene =
+      read(R"("fps": 30, "camera": {"w": 64, "h": 48, "gltf": {"file": "stage.gltf", "name": "eye"}},)" + kLights);
+  const auto camera = scene.cameraAt(15);  // half a second
+  EXPECT_LE(distance(camera.center(), Point<ObjectSpace>(3, 0, 2)), 1e-12);
+  // The file's -z is our +y, its +y our +z: what lies above the middle is up in the picture.
+  const auto above = camera.project(Point<ObjectSpace>(3, 4, 2 + 4 * std::tan(0.25)));
+  ASSERT_TRUE(above);
+  EXPECT_NEAR(above->pixel.x, 32, 1e-9);
+  EXPECT_NEAR(above->pixel.y, 0, 1e-9);
+  EXPECT_GT(camera.project(Point<ObjectSpace>(4, 4, 2))->pixel.x, 32);
+
+  writeTextFile(folder_ / "flat.gltf",
+                stageFile(R"({"type": "orthographic", "orthographic": {"ymag": 3, "xmag": 1}})"));
+  const auto flat = read(R"("camera": {"w": 64, "h": 48, "gltf": {"file": "flat.gltf"}},)" + kLights).cameraAt(0);
+  EXPECT_NEAR(flat.project(Point<ObjectSpace>(0, 9, 2 + 3))->pixel.y, 0, 1e-9);
+}
+
+TEST_F(SceneTest, TheLightsOfAGltfShineAndWhatTheyHoldIsHashed) {
+  writeTextFile(folder_ / "stage.gltf", stageFile());
+  const std::string keys = kCamera + R"(, "lights": [{"type": "gltf", "file": "stage.gltf", "scale": 0.1}])";
+  const Scene scene = read(keys);
+  SrfManifest field;
+  field.lights = {{}, {}};
+  const FrameLights lights = LightSet(scene, field, Reporter::silent()).at(0);
+  ASSERT_EQ(lights.near_lights.size(), 1u);
+  EXPECT_EQ(lights.near_lights[0].position, Point<ObjectSpace>(1, -3, 2));
+  EXPECT_LE(length(lights.near_lights[0].intensity - Vec3{10, 5, 0}), 1e-12);
+  ASSERT_EQ(lights.distant.size(), 1u);
+  EXPECT_LE(length(lights.distant[0].direction.raw() - Vec3{1, 0, 0}), 1e-12);
+  EXPECT_LE(length(lights.distant[0].irradiance - Vec3{0.1, 0.1, 0.1}), 1e-12);
+  const Scene lamp = read(kCamera + R"(, "lights": [{"type": "gltf", "file": "stage.gltf", "name": "lamp"}])");
+  EXPECT_TRUE(LightSet(lamp, field, Reporter::silent()).at(0).distant.empty());
+
+  std::string brighter = stageFile();
+  brighter.replace(brighter.find("100"), 3, "200");
+  writeTextFile(folder_ / "stage.gltf", brighter);
+  EXPECT_NE(read(keys).content_hash, scene.content_hash);
+}
+
+TEST_F(SceneTest, WhatAGltfDoesNotHoldIsRefused) {
+  writeTextFile(folder_ / "stage.gltf", stageFile());
+  EXPECT_REFUSED(refusal(R"("camera": {"w": 64, "h": 48, "gltf": {"file": "stage.gltf", "name": "eys"}},)" + kLights),
+                 "/camera/gltf/name", "'eye'");
+  EXPECT_REFUSED(refusal(R"("camera": {"w": 64, "h": 48, "gltf": {"file": "none.gltf"}},)" + kLights), "none.gltf");
+  EXPECT_REFUSED(refusal(R"("camera": {"w": 64, "gltf": {"file": "stage.gltf"}},)" + kLights), "/camera", "h");
+  std::string spot = stageFile();
+  spot.replace(spot.find("directional"), 11, "spot");
+  writeTextFile(folder_ / "spot.gltf", spot);
+  EXPECT_REFUSED(refusal(kCamera + R"(, "lights": [{"type": "gltf", "file": "spot.gltf"}])"), "/lights/0", "'sun'",
+                 "'spot'", "point or directional");
 }
 
 }  // namespace
