@@ -397,6 +397,10 @@ bool Deformation::rigid() const {
   return std::all_of(steps_.begin(), steps_.end(), [](const auto& step) { return step->rigid(); });
 }
 
+bool Deformation::affine() const {
+  return std::all_of(steps_.begin(), steps_.end(), [](const auto& step) { return std::isinf(step->lengthScale()); });
+}
+
 Point<ObjectSpace> Deformation::map(const Point<AcquisitionSpace>& p0) const {
   Vec3 p = p0.raw();
   for (const auto& step : steps_) p = step->map(p);

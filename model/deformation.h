@@ -43,6 +43,7 @@ class Deformation {
 
   bool identity() const { return steps_.empty(); }
   bool rigid() const;
+  bool affine() const;  ///< its Jacobian is the same everywhere
   Point<ObjectSpace> map(const Point<AcquisitionSpace>& p0) const;
   /// The analytic Jacobian, by the chain rule.
   Linear<ObjectSpace, AcquisitionSpace> jacobian(const Point<AcquisitionSpace>& p0) const;

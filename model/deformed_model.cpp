@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "base/check.h"
+#include "base/numeric.h"
 #include "base/parallel.h"
 
 namespace srf {
@@ -25,6 +26,12 @@ constexpr double kLeastSplatWeight = 1e-6;
 // agree.
 constexpr double kDepthWindow = 1.5;
 constexpr double kNormalCosine = 0.5;
+// A surfel is split where Psi differs at its rim from its first order by more than this part of its shorter half axis:
+// the tangents of neighbours then differ by some 20 % (theory 5), and flat ellipses begin to part.
+constexpr double kMostBend = 0.125;
+constexpr int kMostSplits = 3;  // times; at a crease of Psi no size is small enough
+// Seven discs of half the radius cover a disc, the outer six at this part of its radius; a little larger, they overlap.
+constexpr double kPartRadius = 0.55, kPartDistance = 0.8660254037844386;
 // In-plane phases further apart than 60 degrees are turned together before they are blended: opposed ones would cancel.
 constexpr double kPhaseCosine = 0.5;
 // Squared sine between blended rest tangents below which they are no frame: points of opposite normals were blended.
@@ -72,53 +79,106 @@ void DeformedModel::carry(const Deformation& psi, const MovedVertices* moved) {
     if (!parts_) parts_ = meshParts(rest);
     motion = meshMotion(rest, *parts_, *moved);
   }
-  // Each chunk counts for itself: the sum does not depend on the threads.
-  std::vector<DeformedStatistics> counts((model_.size() + kGrain - 1) / kGrain);
-  parallelFor(model_.size(), kGrain, [&](std::size_t begin, std::size_t end) {
-    DeformedStatistics& count = counts[begin / kGrain];
-    for (std::size_t i = begin; i < end; ++i) {
-      const Mat3& frame = rest_frame_[i].raw();
-      Point<AcquisitionSpace> from = model_.p0[i];
-      Linear<ObjectSpace, AcquisitionSpace> gradient;
-      int handedness = 1;
-      if (moved && model_.kind == ModelKind::mesh) {
-        from = Point<AcquisitionSpace>(moved->positions[i].raw());
-        gradient = motion.gradient[i];
-        handedness = motion.handedness[i];
-      } else if (moved) {
-        const Triangle& corners = rest.triangles[model_.anchor_triangle[i]];
-        const auto [b1, b2] = model_.anchor_weights[i];
-        const double weights[3] = {1.0 - b1 - b2, b1, b2};
-        const Vec3 &a = moved->positions[corners[0]].raw(), &b = moved->positions[corners[1]].raw(),
-                   &c = moved->positions[corners[2]].raw();
-        from = Point<AcquisitionSpace>(a + (weights[1] * (b - a) + weights[2] * (c - a)));
-        Mat3 sum = 0.0 * Mat3{};
-        for (int k = 0; k < 3; ++k) sum = sum + weights[k] * motion.gradient[corners[k]].raw();
-        gradient = Linear<ObjectSpace, AcquisitionSpace>(sum);
-        handedness = motion.handedness[corners[0]];
+  struct Carried {
+    Point<ObjectSpace> p_star;
+    Mat3 jacobian;
+    int handedness;
+  };
+  // Point i, or what lies beside it at rest.
+  const auto carried = [&](std::size_t i, const Vec3& beside) {
+    Point<AcquisitionSpace> from = model_.p0[i] + Vector<AcquisitionSpace>(beside);
+    Linear<ObjectSpace, AcquisitionSpace> gradient;
+    int handedness = 1;
+    if (moved && model_.kind == ModelKind::mesh) {
+      from = Point<AcquisitionSpace>(moved->positions[i].raw());
+      gradient = motion.gradient[i];
+      handedness = motion.handedness[i];
+    } else if (moved) {
+      const Triangle& corners = rest.triangles[model_.anchor_triangle[i]];
+      const auto [b1, b2] = model_.anchor_weights[i];
+      const double weights[3] = {1.0 - b1 - b2, b1, b2};
+      const Vec3 &a = moved->positions[corners[0]].raw(), &b = moved->positions[corners[1]].raw(),
+                 &c = moved->positions[corners[2]].raw();
+      Mat3 sum = 0.0 * Mat3{};
+      for (int k = 0; k < 3; ++k) sum = sum + weights[k] * motion.gradient[corners[k]].raw();
+      from = Point<AcquisitionSpace>(a + (weights[1] * (b - a) + weights[2] * (c - a)) + sum * beside);
+      gradient = Linear<ObjectSpace, AcquisitionSpace>(sum);
+      handedness = motion.handedness[corners[0]];
+    }
+    // M8: tangents by the analytic Jacobian (its check is Eq. 6), after moved vertices by the chain rule.
+    Linear<ObjectSpace, AcquisitionSpace> space;
+    const Point<ObjectSpace> p_star = psi.mapWithJacobian(from, space);
+    if (determinant(space) < 0) handedness = -handedness;
+    return Carried{p_star, moved ? space.raw() * gradient.raw() : space.raw(), handedness};
+  };
+  const auto tangentsOf = [&](std::size_t i, const Carried& at) {
+    const Mat3& frame = rest_frame_[i].raw();
+    return Tangents<ObjectSpace>{Vector<ObjectSpace>(at.jacobian * frame.column(0)),
+                                 Vector<ObjectSpace>(at.jacobian * frame.column(1)), at.handedness};
+  };
+  // Adds the splats that stand for the disc of `radius` about `beside`; true: there are several.
+  const bool bends = !psi.affine();
+  const auto addSplats = [&](std::size_t i, const Vec3& beside, double radius, const Carried& at, int splits,
+                             std::vector<Splat>& out, const auto& self) -> bool {
+    const Tangents<ObjectSpace> tangents = tangentsOf(i, at);
+    const Vec3 u = radius * rest_frame_[i].raw().column(0), v = radius * rest_frame_[i].raw().column(1);
+    bool split = false;
+    if (bends && splits > 0) {
+      const double most = kMostBend * radius * std::min(length(tangents.u), length(tangents.v));
+      const double half = std::sqrt(0.5);
+      for (const Vec3& rim : {u, v, half * (u + v), half * (u - v)}) {
+        const double bend = length((carried(i, beside + rim).p_star - at.p_star).raw() - at.jacobian * rim);
+        split |= bend > most && bend < kFarthest;
       }
-      // M8: tangents by the analytic Jacobian (its check is Eq. 6), after moved vertices by the chain rule.
-      Linear<ObjectSpace, AcquisitionSpace> space;
-      p_star_[i] = psi.mapWithJacobian(from, space);
-      const Mat3 jacobian = moved ? space.raw() * gradient.raw() : space.raw();
-      if (determinant(space) < 0) handedness = -handedness;
-      tangents_[i] = {Vector<ObjectSpace>(jacobian * frame.column(0)), Vector<ObjectSpace>(jacobian * frame.column(1)),
-                      handedness};
-      const Vec3& p = p_star_[i].raw();
+    }
+    if (!split) {
+      const Vec3 normal = at.handedness * cross(tangents.u, tangents.v).raw();
+      out.push_back({static_cast<std::uint32_t>(i), radius, model_.p0[i] + Vector<AcquisitionSpace>(beside), at.p_star,
+                     tangents, unitOr(normal, {})});
+      return false;
+    }
+    self(i, beside, kPartRadius * radius, at, splits - 1, out, self);
+    for (int k = 0; k < 6; ++k) {
+      const double angle = k * kPi / 3;
+      const Vec3 part = beside + (kPartDistance * std::cos(angle)) * u + (kPartDistance * std::sin(angle)) * v;
+      self(i, part, kPartRadius * radius, carried(i, part), splits - 1, out, self);
+    }
+    return true;
+  };
+
+  // Each chunk counts for itself: the sum does not depend on the threads.
+  struct Chunk {
+    DeformedStatistics count;
+    std::vector<Splat> splats;
+  };
+  std::vector<Chunk> chunks((model_.size() + kGrain - 1) / kGrain);
+  parallelFor(model_.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+    Chunk& chunk = chunks[begin / kGrain];
+    DeformedStatistics& count = chunk.count;
+    for (std::size_t i = begin; i < end; ++i) {
+      const Carried at = carried(i, {});
+      p_star_[i] = at.p_star;
+      tangents_[i] = tangentsOf(i, at);
+      const Vec3& p = at.p_star.raw();
       if (!(std::fabs(p.x) < kFarthest && std::fabs(p.y) < kFarthest && std::fabs(p.z) < kFarthest)) {
         constexpr double kNowhere = std::numeric_limits<double>::quiet_NaN();
         p_star_[i] = Point<ObjectSpace>(kNowhere, kNowhere, kNowhere);
         ++count.not_finite;
         continue;
       }
-      count.mirrored += handedness < 0;
+      count.mirrored += at.handedness < 0;
       count.collapsed += collapsed(tangents_[i]);
+      if (model_.kind == ModelKind::surfels)
+        count.split += addSplats(i, {}, model_.radius[i], at, kMostSplits, chunk.splats, addSplats);
     }
   });
-  for (const DeformedStatistics& count : counts) {
-    statistics_.not_finite += count.not_finite;
-    statistics_.mirrored += count.mirrored;
-    statistics_.collapsed += count.collapsed;
+  splats_.clear();
+  for (const Chunk& chunk : chunks) {
+    statistics_.not_finite += chunk.count.not_finite;
+    statistics_.mirrored += chunk.count.mirrored;
+    statistics_.collapsed += chunk.count.collapsed;
+    statistics_.split += chunk.count.split;
+    splats_.insert(splats_.end(), chunk.splats.begin(), chunk.splats.end());
   }
   statistics_.unsure_handedness = motion.unsure;
 }
@@ -132,34 +192,39 @@ void DeformedModel::updateScene() {
     }
     return;
   }
-  splat_u_.resize(model_.size());
-  splat_v_.resize(model_.size());
-  longest_splat_ = 0;
-  for (std::size_t i = 0; i < model_.size(); ++i) {
-    const double radius = model_.radius[i];
-    splat_u_[i] = radius * tangents_[i].u;
-    splat_v_[i] = radius * tangents_[i].v;
-    const double longest = std::max(length(splat_u_[i]), length(splat_v_[i]));
-    if (isFinite(p_star_[i]) && std::isfinite(longest)) longest_splat_ = std::max(longest_splat_, longest);
-  }
+  std::vector<Point<ObjectSpace>> centers(splats_.size());
+  std::vector<Vector<ObjectSpace>> u(splats_.size()), v(splats_.size());
+  parallelFor(splats_.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const Splat& splat = splats_[i];
+      centers[i] = splat.p_star;
+      u[i] = splat.radius * splat.tangents.u;
+      v[i] = splat.radius * splat.tangents.v;
+    }
+  });
   if (scene_) {
-    scene_->moveSplats(p_star_, splat_u_, splat_v_);
+    scene_->moveSplats(centers, u, v);
   } else {
-    scene_ = RayScene<ObjectSpace>::ofSplats(p_star_, splat_u_, splat_v_, kSplatCutoff);
+    scene_ = RayScene<ObjectSpace>::ofSplats(centers, u, v, kSplatCutoff);
   }
 }
 
 Box<ObjectSpace> DeformedModel::bounds() const {
   Box<ObjectSpace> box;
-  for (std::size_t i = 0; i < p_star_.size(); ++i) {
-    if (!isFinite(p_star_[i])) continue;
-    box.extend(p_star_[i]);
-    if (model_.kind == ModelKind::mesh) continue;
-    const Vec3 &u = splat_u_[i].raw(), &v = splat_v_[i].raw();
-    const Vector<ObjectSpace> half(std::hypot(u.x, v.x), std::hypot(u.y, v.y), std::hypot(u.z, v.z));
+  if (model_.kind == ModelKind::mesh) {
+    for (const auto& p : p_star_)
+      if (isFinite(p)) box.extend(p);
+    return box;
+  }
+  for (const Splat& splat : splats_) {
+    if (!isFinite(splat.p_star)) continue;
+    box.extend(splat.p_star);
+    const Vec3 &u = splat.tangents.u.raw(), &v = splat.tangents.v.raw();
+    const Vector<ObjectSpace> half =
+        splat.radius * Vector<ObjectSpace>(std::hypot(u.x, v.x), std::hypot(u.y, v.y), std::hypot(u.z, v.z));
     if (!isFinite(half)) continue;
-    box.extend(p_star_[i] - half);
-    box.extend(p_star_[i] + half);
+    box.extend(splat.p_star - half);
+    box.extend(splat.p_star + half);
   }
   return box;
 }
@@ -200,7 +265,9 @@ void DeformedModel::intersectTriangles(std::span<const Ray<ObjectSpace>> rays, s
         hit.weight[place] = weight;
         hit.point[place] = corners[i];
       }
-      blendFrames(hit, a);
+      const Tangents<ObjectSpace>* carried[3];
+      for (int i = 0; i < 3; ++i) carried[i] = &tangents_[hit.point[i]];
+      blendFrames(hit, carried, a, tangents_[a]);
     }
   }
 }
@@ -219,16 +286,11 @@ void DeformedModel::intersectSplats(std::span<const Ray<ObjectSpace>> rays, std:
     hit.count = 0;
     const std::span<const SplatHit> near = gathered.of(k % kBatch);
     if (near.empty()) continue;
-    const SplatHit first = near.front();
-    const auto outward = [this](std::uint32_t i) {
-      return static_cast<double>(tangents_[i].handedness) * unitOr(cross(splat_u_[i], splat_v_[i]).raw(), Vec3{});
-    };
-    const Vec3 first_normal = outward(first.splat);
+    const Splat& first = splats_[near.front().splat];
     met.clear();
-    for (const SplatHit& splat : near) {
-      if (splat.splat != first.splat && !(dot(outward(splat.splat), first_normal) > kNormalCosine)) continue;
-      met.push_back({splat, splatWeight(splat.a, splat.b)});
-    }
+    for (const SplatHit& splat : near)
+      if (&splats_[splat.splat] == &first || dot(splats_[splat.splat].outward, first.outward) > kNormalCosine)
+        met.push_back({splat, splatWeight(splat.a, splat.b)});
     std::sort(met.begin(), met.end(), [](const Met& x, const Met& y) {
       return x.weight != y.weight ? x.weight > y.weight : x.splat.splat < y.splat.splat;
     });
@@ -236,35 +298,36 @@ void DeformedModel::intersectSplats(std::span<const Ray<ObjectSpace>> rays, std:
     double total = 0;
     for (int i = 0; i < hit.count; ++i) total += met[i].weight;
     // Inside a splat, position and rest position are those of its plane: Psi inverted to first order.
-    const std::uint32_t anchor = met.front().splat.splat;
+    const Splat& anchor = splats_[met.front().splat.splat];
+    const Tangents<ObjectSpace>* carried[SurfaceHit::kMostPoints];
     Vector<AcquisitionSpace> p0_from_anchor;
     Vector<ObjectSpace> p_star_from_anchor;
     for (int i = 0; i < hit.count; ++i) {
-      const SplatHit& splat = met[i].splat;
-      const std::uint32_t point = splat.splat;
-      const double weight = met[i].weight / total, radius = model_.radius[point];
-      const Mat3& frame = rest_frame_[point].raw();
-      const Vec3 rest = (radius * splat.a) * frame.column(0) + (radius * splat.b) * frame.column(1);
-      p0_from_anchor += weight * ((model_.p0[point] - model_.p0[anchor]) + Vector<AcquisitionSpace>(rest));
-      p_star_from_anchor += weight * ((p_star_[point] - p_star_[anchor]) +
-                                      (double{splat.a} * splat_u_[point] + double{splat.b} * splat_v_[point]));
-      hit.point[i] = point;
+      const Splat& splat = splats_[met[i].splat.splat];
+      const double weight = met[i].weight / total, a = splat.radius * met[i].splat.a, b = splat.radius * met[i].splat.b;
+      const Mat3& frame = rest_frame_[splat.point].raw();
+      p0_from_anchor +=
+          weight * ((splat.p0 - anchor.p0) + Vector<AcquisitionSpace>(a * frame.column(0) + b * frame.column(1)));
+      p_star_from_anchor += weight * ((splat.p_star - anchor.p_star) + (a * splat.tangents.u + b * splat.tangents.v));
+      hit.point[i] = splat.point;
       hit.weight[i] = static_cast<float>(weight);
+      carried[i] = &splat.tangents;
     }
-    hit.p0 = model_.p0[anchor] + p0_from_anchor;
-    hit.p_star = p_star_[anchor] + p_star_from_anchor;
+    hit.p0 = anchor.p0 + p0_from_anchor;
+    hit.p_star = anchor.p_star + p_star_from_anchor;
     hit.distance = dot(hit.p_star - rays[k].origin, rays[k].direction);
-    blendFrames(hit, first.splat);
+    blendFrames(hit, carried, first.point, first.tangents);
   }
 }
 
-void DeformedModel::blendFrames(SurfaceHit& hit, std::uint32_t reference) const {
+void DeformedModel::blendFrames(SurfaceHit& hit, const Tangents<ObjectSpace>* const* carried_by_point,
+                                std::uint32_t reference, const Tangents<ObjectSpace>& reference_carried) const {
   const Vec3 reference_u = rest_frame_[reference].raw().column(0);
   Vec3 u0, v0, u, v;
   double handedness = 0;
   for (int i = 0; i < hit.count; ++i) {
     const Mat3& frame = rest_frame_[hit.point[i]].raw();
-    const Tangents<ObjectSpace>& carried = tangents_[hit.point[i]];
+    const Tangents<ObjectSpace>& carried = *carried_by_point[i];
     const Vec3 own_u = frame.column(0), own_v = frame.column(1);
     const double weight = hit.weight[i];
     handedness += weight * carried.handedness;
@@ -285,7 +348,7 @@ void DeformedModel::blendFrames(SurfaceHit& hit, std::uint32_t reference) const 
   const double squared = dot(n, n);
   if (!(squared > kNoFrame)) {
     hit.acquisition_from_tangent = rest_frame_[reference];
-    hit.tangents = tangents_[reference];
+    hit.tangents = reference_carried;
     return;
   }
   // R0 is the orthonormal pair nearest to the blended rest tangents, (u0-bar v0-bar) = (u0 v0) M; the carried tangents

@@ -34,6 +34,7 @@ struct DeformedStatistics {
   /// Points on open parts that a mesh sequence moves: nothing tells whether they are mirrored, they are taken not to
   /// be. Worth a warning.
   std::size_t unsure_handedness = 0;
+  std::size_t split = 0;  ///< surfels that the deformation bends too much for one ellipse: smaller ones stand for them
 };
 
 class DeformedModel {
@@ -58,16 +59,25 @@ class DeformedModel {
   void updateScene();
   void intersectTriangles(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
   void intersectSplats(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
-  /// Fills the frames of a hit from its points and weights; phases follow those of `reference`.
-  void blendFrames(SurfaceHit& hit, std::uint32_t reference) const;
+  /// Fills the frames of a hit from its points, their carried tangents and weights; phases follow those of `reference`.
+  void blendFrames(SurfaceHit& hit, const Tangents<ObjectSpace>* const* carried, std::uint32_t reference,
+                   const Tangents<ObjectSpace>& reference_carried) const;
+  /// A splat of this frame: a surfel, or a part of one that was split.
+  struct Splat {
+    std::uint32_t point;  ///< the surfel
+    double radius;        ///< at rest
+    Point<AcquisitionSpace> p0;
+    Point<ObjectSpace> p_star;
+    Tangents<ObjectSpace> tangents;
+    Vec3 outward;  ///< unit normal, zero where the tangents have none
+  };
 
   const DeformableModel& model_;
   std::vector<Orthogonal<AcquisitionSpace, TangentSpace>> rest_frame_;  ///< R0 of each point
   std::vector<Point<ObjectSpace>> p_star_;                              ///< NaN where Psi sends the point nowhere
   std::vector<Tangents<ObjectSpace>> tangents_;
-  std::vector<Vector<ObjectSpace>> splat_u_, splat_v_;  ///< kind surfels: tangents times rest radius
-  double longest_splat_ = 0;                            ///< longest half axis of all, units
-  std::optional<MeshParts> parts_;                      ///< of the rest mesh, once its vertices were moved
+  std::vector<Splat> splats_;       ///< kind surfels
+  std::optional<MeshParts> parts_;  ///< of the rest mesh, once its vertices were moved
   std::optional<RayScene<ObjectSpace>> scene_;
   DeformedStatistics statistics_;
 };

@@ -18,8 +18,10 @@ struct SurfaceSamples {
   double radius = 0;                          ///< units; discs of this radius leave no hole at rest
 };
 
-/// About `count` points no two of which are nearer than a common distance, and no place of the surface further than
-/// that from one (Poisson discs). The mesh must have normals and area. Same input, same points.
+/// About `count` points spread evenly, darts no two of which on one side of an edge are nearer than a common distance
+/// (Poisson discs), and points in the gaps between: the line through any place of the surface along the normal of its
+/// triangle meets a disc whose normal is within 60 degrees of it. More points than asked for where much of the surface
+/// is edge. The mesh must have normals and area. Same input, same points.
 SurfaceSamples sampleSurface(const AcquisitionMesh& mesh, std::size_t count, Reporter& reporter);
 
 }  // namespace srf
