@@ -43,20 +43,18 @@ class RayBatch {
   std::vector<std::uint8_t> blocked_;
 };
 
-// Of the views that see the point, the middle one's pixel on the surface.
-double pixelSize(const SrfManifest& field, const DeformableModel& model, std::size_t i, std::vector<double>& sizes) {
-  sizes.clear();
-  for (std::size_t v = 0; v < field.views.size(); ++v)
-    if (model.visible.get(i, v))
-      if (const auto at = field.views[v].camera.project(model.p0[i]))
-        sizes.push_back(field.views[v].camera.pixelFootprint(at->depth));
+}  // namespace
+
+double aroundReach(const SrfManifest& field, const DeformableModel& model) {
+  std::vector<double> sizes;
+  const Point<AcquisitionSpace> center = model.bounds().center();
+  for (const StoredView& view : field.views)
+    if (const auto at = view.camera.project(center)) sizes.push_back(view.camera.pixelFootprint(at->depth));
   if (sizes.empty()) return 0;
   const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
   std::nth_element(sizes.begin(), middle, sizes.end());
-  return *middle;
+  return kAroundPixels * *middle;
 }
-
-}  // namespace
 
 double shadowRayOffset(const DeformableModel& model) {
   constexpr double kLeast = 1.5e-3;  // of the diameter
@@ -70,7 +68,7 @@ CapturedVisibility castCapturedVisibility(const SrfManifest& field, const Deform
                            model.visible};
   const AcquisitionMesh surface = model.restMesh();
   const auto scene = RayScene<AcquisitionSpace>::ofTriangles(surface.positions, surface.triangles);
-  const double offset = shadowRayOffset(model);
+  const double offset = shadowRayOffset(model), reach = aroundReach(field, model);
   VisibilityBits lights_of_view(field.views.size(), field.lights.size());
   for (std::size_t v = 0; v < field.views.size(); ++v)
     for (const LightId light : field.views[v].lights)
@@ -79,7 +77,6 @@ CapturedVisibility castCapturedVisibility(const SrfManifest& field, const Deform
   Reporter::Stage stage(reporter, "fit: shadow rays", points);
   parallelFor(points, kChunk, [&](std::size_t begin, std::size_t end) {
     RayBatch rays(scene);
-    std::vector<double> sizes;
     std::vector<Point<AcquisitionSpace>> above;
     std::vector<std::array<Point<AcquisitionSpace>, 4>> around;
     VisibilityBits asked(end - begin, field.lights.size());
@@ -88,7 +85,6 @@ CapturedVisibility castCapturedVisibility(const SrfManifest& field, const Deform
       above.push_back(model.p0[i] + up);
       const Direction<AcquisitionSpace> u = anyPerpendicular(normals[i]);
       const Vector<AcquisitionSpace> v = cross(normals[i], u);
-      const double reach = kAroundPixels * pixelSize(field, model, i, sizes);
       std::array<Point<AcquisitionSpace>, 4> corners{above.back(), above.back(), above.back(), above.back()};
       for (int k = 0; k < 4 && reach > 0; ++k) {
         const Vector<AcquisitionSpace> aside =

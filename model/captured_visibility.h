@@ -20,6 +20,9 @@ struct CapturedVisibility {
 /// and a tessellation's facets would shadow themselves (tried on true meshes of diameter 2.4: 0.001 to 0.004 is best).
 double shadowRayOffset(const DeformableModel& model);
 
+/// 1.7 pixels of the middle view on the object, units: how far around a point outlines are looked for.
+double aroundReach(const SrfManifest& field, const DeformableModel& model);
+
 /// Lights under which no view sees a point are left 0 there.
 CapturedVisibility castCapturedVisibility(const SrfManifest& field, const DeformableModel& model,
                                           std::span<const Direction<AcquisitionSpace>> normals, Reporter& reporter);

@@ -83,6 +83,14 @@ bool wellConditioned(const NormalEquations<kModelTerms>& e) {
 
 }  // namespace
 
+void setFrame(PointReflectance& point, const Direction<AcquisitionSpace>& normal, double angle) {
+  const Vec3 u = anyPerpendicular(normal).raw(), t = std::cos(angle) * u + std::sin(angle) * cross(normal.raw(), u);
+  for (int c = 0; c < 3; ++c) {
+    point.normal[c] = static_cast<float>(normal.raw()[c]);
+    point.tangent[c] = static_cast<float>(t[c]);
+  }
+}
+
 LightLists::LightLists(const SrfManifest& field) {
   for (const StoredView& view : field.views) {
     const auto same = std::find_if(lists.begin(), lists.end(), [&](const List& l) { return l.ids == view.lights; });

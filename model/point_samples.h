@@ -27,6 +27,9 @@ struct LightLists {
   std::vector<List> lists;
   std::vector<std::uint32_t> of_view;
 };
+/// Normal and tangent of a model: the tangent at `angle` from anyPerpendicular(normal), about the normal.
+void setFrame(PointReflectance& point, const Direction<AcquisitionSpace>& normal, double angle);
+
 /// What all points share; must outlive PointSamples.
 struct FitInput {
   const SrfManifest& field;

@@ -9,6 +9,7 @@
 #include "base/numeric.h"
 #include "base/parallel.h"
 #include "model/captured_visibility.h"
+#include "model/hull_correction.h"
 #include "model/light_holdout.h"
 #include "model/point_samples.h"
 
@@ -23,16 +24,6 @@ constexpr std::size_t kTangentPoints = 150;  // of those, that tell whether it d
 constexpr double kAnisotropyPays = 0.85;     // at most this share of the error is left
 constexpr int kRounds = 3;                   // of robust weights
 constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
-
-std::array<float, 3> floats(const Vec3& v) {
-  return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)};
-}
-
-void setFrame(PointReflectance& point, const Direction<AcquisitionSpace>& normal, double tangent_angle) {
-  const Vec3 u = anyPerpendicular(normal).raw(), v = cross(normal.raw(), u);
-  point.normal = floats(normal.raw());
-  point.tangent = floats(std::cos(tangent_angle) * u + std::sin(tangent_angle) * v);
-}
 
 struct Roughness {
   float x = 0.3f, y = 0.3f;
@@ -150,6 +141,33 @@ RoughnessSearch searchAnisotropic(std::span<SearchPoint> points, float alpha, Re
   return search;
 }
 
+// Normals and lit bits of a hull by the photographs.
+void correctHull(const FitInput& input, const Roughness& roughness, std::vector<Direction<AcquisitionSpace>>& normals,
+                 CapturedVisibility& visibility, Reporter& reporter) {
+  Reporter::Stage stage(reporter, "fit: normals", normals.size());
+  VisibilityBits lit = visibility.lit;
+  parallelFor(normals.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    PointSamples point;
+    for (std::size_t i = begin; i < end; ++i) {
+      point.load(input, i, normals[i]);
+      if (point.litSamples() < kFewestSearchSamples) continue;
+      PointReflectance fitted;
+      fitted.alpha_x = roughness.x, fitted.alpha_y = roughness.y;
+      normals[i] = photometricNormal(point, normals[i], fitted);
+      point.load(input, i, normals[i]);
+      if (roughness.x != roughness.y)
+        findTangent(point, normals[i], fitted);
+      else
+        setFrame(fitted, normals[i], 0);
+      point.fit(fitted, kRounds);
+      correctLit(input, point, fitted, i, lit);
+    }
+    stage.advance(end - begin);
+  });
+  visibility.lit = std::move(lit);
+  litAroundFromNeighbours(input, visibility);
+}
+
 }  // namespace
 
 std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_folder, const SrfManifest& field,
@@ -170,6 +188,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   CapturedVisibility visibility = castCapturedVisibility(field, model, normals, reporter);
   const LightLists lists(field);
   const FitInput input{field, model, lists, samples, visibility};
+  const bool is_hull = model.shape == "hull";
 
   Roughness roughness;
   {
@@ -179,8 +198,16 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
       return std::nullopt;
     }
     Reporter::Stage stage(reporter, "fit: roughness", 2);
-    const RoughnessSearch isotropic = searchIsotropic(points, reporter);
-    roughness = isotropic.best;
+    roughness = searchIsotropic(points, reporter).best;
+    if (is_hull) {  // bent normals look like roughness
+      PointReflectance known;
+      known.alpha_x = known.alpha_y = roughness.x;
+      parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i)
+          points[i].normal = photometricNormal(points[i].samples, points[i].normal, known);
+      });
+      roughness = searchIsotropic(points, reporter).best;
+    }
     stage.advance();
     // Two roughnesses explain a little more of anything: taken where it is much.
     const std::span few(points.data(), std::min(points.size(), kTangentPoints));
@@ -190,6 +217,8 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   }
 
   ReflectanceFit fit;
+  fit.lit_by_rays = visibility.lit;
+  if (is_hull) correctHull(input, roughness, normals, visibility, reporter);
   fit.points.resize(model.size());
   std::vector<HoldoutError> errors(model.size());
   {
@@ -226,7 +255,6 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
     square += errors[i].square;
   }
   if (square > 0) fit.error_plain = std::sqrt(plain / square), fit.error_guided = std::sqrt(guided / square);
-  fit.lit_by_rays = visibility.lit;
   fit.lit = std::move(visibility.lit);
   fit.lit_around = std::move(visibility.lit_around);
   fit.seen_around = std::move(visibility.seen_around);
