@@ -22,10 +22,10 @@ constexpr std::size_t kChunk = 256;  // points
 }  // namespace
 
 Direction<AcquisitionSpace> photometricNormal(PointSamples& samples, const Direction<AcquisitionSpace>& start,
-                                              PointReflectance point) {
+                                              PointReflectance point, double tangent_angle) {
   const auto error = [&](const Direction<AcquisitionSpace>& n) {
     if (angleBetween(n, start) > kFarthest) return std::numeric_limits<double>::infinity();
-    setFrame(point, n, 0);
+    setFrame(point, n, tangent_angle);
     return samples.fit(point, 1);
   };
   const double before = error(start);

@@ -8,10 +8,10 @@
 
 namespace srf {
 
-/// The normal under which the model of the roughness of `point` explains the samples best, at most 41 degrees from
-/// `start`, if that explains them much better than `start` does; else `start`.
+/// The normal under which the model of the roughness of `point`, brushed along `tangent_angle` (setFrame), explains the
+/// samples best, at most 41 degrees from `start`, if that explains them much better than `start` does; else `start`.
 Direction<AcquisitionSpace> photometricNormal(PointSamples& samples, const Direction<AcquisitionSpace>& start,
-                                              PointReflectance point);
+                                              PointReflectance point, double tangent_angle);
 
 /// Sets the point's lit bits to what most of its views say, where the model of `point` (fitted to the samples) lets
 /// them tell: the surface is as bright as lit, or dark. Bits about which the photographs say nothing stay.

@@ -55,8 +55,11 @@ std::vector<SearchPoint> searchPoints(const FitInput& input, std::span<const Dir
 constexpr int kTangents = 8;  // angles that are tried for the direction of brushing
 
 // The tangent angle whose plain fit explains the samples best: the best of eight and the vertex of the parabola through
-// it and its neighbours. Returns that fit's error; `point` has the frame.
-double findTangent(PointSamples& samples, const Direction<AcquisitionSpace>& normal, PointReflectance& point) {
+// it and its neighbours; `point` has the frame.
+struct Tangent {
+  double angle, error;
+};
+Tangent findTangent(PointSamples& samples, const Direction<AcquisitionSpace>& normal, PointReflectance& point) {
   std::array<double, kTangents> error;
   for (int k = 0; k < kTangents; ++k) {
     setFrame(point, normal, k * kPi / kTangents);
@@ -66,8 +69,9 @@ double findTangent(PointSamples& samples, const Direction<AcquisitionSpace>& nor
   const double before = error[(best + kTangents - 1) % kTangents], after = error[(best + 1) % kTangents];
   const double bend = before + after - 2 * error[best];
   const double shift = bend > 0 ? std::clamp(0.5 * (before - after) / bend, -0.5, 0.5) : 0;
-  setFrame(point, normal, (best + shift) * kPi / kTangents);
-  return error[best];
+  const double angle = (best + shift) * kPi / kTangents;
+  setFrame(point, normal, angle);
+  return {angle, error[best]};
 }
 
 // Mean over the points of the share of the samples that the model leaves unexplained.
@@ -81,7 +85,7 @@ double searchError(std::span<SearchPoint> points, const Roughness& roughness) {
         setFrame(tried, points[i].normal, 0);
         errors[i] = points[i].samples.fit(tried, 1);
       } else {
-        errors[i] = findTangent(points[i].samples, points[i].normal, tried);
+        errors[i] = findTangent(points[i].samples, points[i].normal, tried).error;
       }
     }
   });
@@ -153,9 +157,11 @@ void correctHull(const FitInput& input, const Roughness& roughness, std::vector<
       if (point.litSamples() < kFewestSearchSamples) continue;
       PointReflectance fitted;
       fitted.alpha_x = roughness.x, fitted.alpha_y = roughness.y;
-      normals[i] = photometricNormal(point, normals[i], fitted);
+      const bool brushed = roughness.x != roughness.y;
+      const double tangent = brushed ? findTangent(point, normals[i], fitted).angle : 0;
+      normals[i] = photometricNormal(point, normals[i], fitted, tangent);
       point.load(input, i, normals[i]);
-      if (roughness.x != roughness.y)
+      if (brushed)
         findTangent(point, normals[i], fitted);
       else
         setFrame(fitted, normals[i], 0);
@@ -204,7 +210,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
       known.alpha_x = known.alpha_y = roughness.x;
       parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i)
-          points[i].normal = photometricNormal(points[i].samples, points[i].normal, known);
+          points[i].normal = photometricNormal(points[i].samples, points[i].normal, known, 0);
       });
       roughness = searchIsotropic(points, reporter).best;
     }
