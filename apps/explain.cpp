@@ -88,8 +88,8 @@ class Explanation {
     const Mat3& r0 = e.hit.acquisition_from_tangent.raw();
     const Vec3 &u = e.hit.tangents.u.raw(), &v = e.hit.tangents.v.raw();
     const TangentChange change = tangentChange(e.hit.tangents);
-    const DeformedFrame<ObjectSpace> frame = deformedFrame(e.hit.tangents, scene_.accuracy.frame);
-    const Mat3 &rows = frame.tangent_from_space.raw(), &l = e.look_up.acquisition_from_object.raw();
+    const Mat3& l = e.look_up.acquisition_from_object.raw();
+    const Mat3 rows = r0.transposed() * l;  // of Eq. 10: (u-bar v-bar sigma n-bar)^T
     std::printf("  look-up\n");
     line(4, "p = p0", text(e.look_up.p.raw()) + "   Eq. 3");
     line(4, "u0, v0, n0", text(r0.column(0)) + " " + text(r0.column(1)) + " " + text(r0.column(2)) + "   blended R0");
@@ -98,7 +98,7 @@ class Explanation {
     line(4, "stretch, shear",
          text("%.7g to %.7g, %.6g degrees", change.shortest, change.longest, degrees(change.shear)));
     const char* mode = scene_.accuracy.frame == FrameMode::bisector ? "bisector, Eq. 8 and 9" : "polar";
-    line(4, "u-bar", text(rows.row[0]) + "   " + (frame.collapsed ? "fallback: u, v are no frame" : mode));
+    line(4, "u-bar", text(rows.row[0]) + "   " + (e.look_up.collapsed ? "fallback: u, v are no frame" : mode));
     line(4, "v-bar", text(rows.row[1]));
     line(4, "sigma n-bar", text(rows.row[2]) + text("   Eq. 7, sigma %+d", e.hit.tangents.handedness));
     for (int i = 0; i < 3; ++i) line(4, i == 0 ? "L" : "", text(l.row[i]) + (i == 0 ? "   Eq. 10" : ""));

@@ -105,12 +105,10 @@ TangentChange tangentChange(const Tangents<Space>& tangents) {
 template TangentChange tangentChange(const Tangents<ObjectSpace>&);
 
 template <class Space>
-DeformedFrame<Space> deformedFrame(const Tangents<Space>& tangents, FrameMode mode) {
-  const double sigma = tangents.handedness < 0 ? -1 : 1;
+DeformedFrame<Space> deformedFrame(const Tangents<Space>& tangents, FrameMode mode,
+                                   const Orthogonal<TangentSpace, Space>& at_rest) {
   // sigma turns the normal last: turning it first would swap u-bar and v-bar (M11).
-  const auto frame = [sigma](const Vec3& u_bar, const Vec3& v_bar, const Vec3& n_bar, bool collapsed) {
-    return DeformedFrame<Space>{Orthogonal<TangentSpace, Space>(Mat3{{u_bar, v_bar, sigma * n_bar}}), collapsed};
-  };
+  const double sigma = tangents.handedness < 0 ? -1 : 1;
   const Vec3 &u = tangents.u.raw(), &v = tangents.v.raw();
   const auto u_hat = unitAlong(u), v_hat = unitAlong(v);
   if (u_hat && v_hat) {
@@ -119,21 +117,30 @@ DeformedFrame<Space> deformedFrame(const Tangents<Space>& tangents, FrameMode mo
     if (sine > kCollapsedSine) {
       const Vec3 n_bar = normal / sine;  // Eq. 7
       const Pair pair = mode == FrameMode::bisector ? bisectorPair(*u_hat, *v_hat, n_bar) : polarPair(u, v, n_bar);
-      return frame(pair.u, pair.v, n_bar, false);
+      return {Orthogonal<TangentSpace, Space>(Mat3{{pair.u, pair.v, sigma * n_bar}}), false};
     }
   }
-  if (u_hat && !(v_hat && length(v) > length(u))) {
-    const Vec3 n_bar = perpendicularTo(*u_hat);
-    return frame(*u_hat, cross(n_bar, *u_hat), n_bar, true);
+  Mat3 rows = at_rest.raw();
+  if (u_hat || v_hat) {
+    // All tangents were carried onto the line along d; the one that kept most of its length is a u0 + b v0.
+    const bool by_u = u_hat && !(v_hat && length(v) > length(u));
+    const Vec3 d = by_u ? *u_hat : *v_hat;
+    const double other = by_u ? (v_hat ? dot(v / length(u), d) : 0) : (u_hat ? dot(u / length(v), d) : 0);
+    const double norm = std::hypot(1, other), a = (by_u ? 1 : other) / norm, b = (by_u ? other : 1) / norm;
+    const Vec3 kept = a * rows.row[0] + b * rows.row[1];
+    // The shortest turn that takes it there; through a perpendicular axis where it is a half turn.
+    const Vec3 across = cross(kept, d);
+    const Vec3 axis = dot(across, across) > 0 ? across / length(across) : perpendicularTo(d);
+    const Mat3 turn = rotationAbout(axis, std::atan2(length(across), dot(kept, d)));
+    for (Vec3& row : rows.row) row = turn * row;
   }
-  if (v_hat) {
-    const Vec3 n_bar = perpendicularTo(*v_hat);
-    return frame(cross(*v_hat, n_bar), *v_hat, n_bar, true);
-  }
-  return frame({1, 0, 0}, {0, 1, 0}, {0, 0, 1}, true);
+  rows.row[2] = sigma * rows.row[2];
+  return {Orthogonal<TangentSpace, Space>(rows), true};
 }
 
-template DeformedFrame<ObjectSpace> deformedFrame(const Tangents<ObjectSpace>&, FrameMode);
-template DeformedFrame<AcquisitionSpace> deformedFrame(const Tangents<AcquisitionSpace>&, FrameMode);
+template DeformedFrame<ObjectSpace> deformedFrame(const Tangents<ObjectSpace>&, FrameMode,
+                                                  const Orthogonal<TangentSpace, ObjectSpace>&);
+template DeformedFrame<AcquisitionSpace> deformedFrame(const Tangents<AcquisitionSpace>&, FrameMode,
+                                                       const Orthogonal<TangentSpace, AcquisitionSpace>&);
 
 }  // namespace srf

@@ -45,13 +45,19 @@ struct DeformedFrame {
   /// The tangents gave no frame (a zero, infinite or parallel pair): a fallback was made from what is left of them.
   bool collapsed = false;
 };
-/// The orthonormal frame of deformed tangents, in double. Where they collapse, the frame about the longer tangent
-/// (u-bar or v-bar along it, the rest from anyPerpendicular) is returned and `collapsed` set; with both zero, the axes.
+/// The orthonormal frame of deformed tangents, in double. Where they collapse, the frame `at_rest` is returned, turned
+/// by the shortest way that takes the tangent which kept most of its length to where it was carried (with both zero, as
+/// it is), and `collapsed` is set. So the fallback neither depends on the phase of (u0, v0) nor jumps from point to
+/// point, but where the tangent was turned by 180 degrees. It takes over below a sine of 1e-12 between u and v, where
+/// their own frame is known to no better than 1e-4 rad.
 template <class Space>
-DeformedFrame<Space> deformedFrame(const Tangents<Space>& tangents, FrameMode mode);
+DeformedFrame<Space> deformedFrame(const Tangents<Space>& tangents, FrameMode mode,
+                                   const Orthogonal<TangentSpace, Space>& at_rest = {});
 
 extern template TangentChange tangentChange(const Tangents<ObjectSpace>&);
-extern template DeformedFrame<ObjectSpace> deformedFrame(const Tangents<ObjectSpace>&, FrameMode);
-extern template DeformedFrame<AcquisitionSpace> deformedFrame(const Tangents<AcquisitionSpace>&, FrameMode);
+extern template DeformedFrame<ObjectSpace> deformedFrame(const Tangents<ObjectSpace>&, FrameMode,
+                                                         const Orthogonal<TangentSpace, ObjectSpace>&);
+extern template DeformedFrame<AcquisitionSpace> deformedFrame(const Tangents<AcquisitionSpace>&, FrameMode,
+                                                              const Orthogonal<TangentSpace, AcquisitionSpace>&);
 
 }  // namespace srf

@@ -340,20 +340,42 @@ TEST(DeformedFrame, CollapsedTangentsAreFlaggedAndNeverNaN) {
                        wrong, test::atMost(0));
 }
 
-TEST(DeformedFrame, TheFallbackFollowsTheLongerTangent) {
-  const Vec3 along = Vec3{1, 2, 3} / std::sqrt(14.0);
-  for (const double other : {0.0, 0.5, -0.5}) {
-    const auto by_u = deformedFrame(tangents(along, other * along), FrameMode::bisector);
-    EXPECT_TRUE(by_u.collapsed);
-    EXPECT_LE(length(by_u.tangent_from_space.raw().row[0] - along), 1e-15);
-    const auto by_v = deformedFrame(tangents(other * along, along), FrameMode::bisector);
-    EXPECT_TRUE(by_v.collapsed);
-    EXPECT_LE(length(by_v.tangent_from_space.raw().row[1] - along), 1e-15);
-    // Continuous: a little turn of the tangent turns the frame a little.
-    const Vec3 nearby = Vec3{1, 2, 3 + 1e-6} / length(Vec3{1, 2, 3 + 1e-6});
-    const auto beside = deformedFrame(tangents(nearby, other * nearby), FrameMode::bisector);
-    EXPECT_LE(distanceOf(beside.tangent_from_space.raw(), by_u.tangent_from_space.raw()), 1e-5);
+TEST(DeformedFrame, TheFallbackTurnsTheRestFrameTheShortestWay) {
+  Random random;
+  test::Largest off_line, phase, jump;
+  for (int i = 0; i < test::sized(1000, 100000); ++i) {
+    // A map of rank one: everything onto the line along d.
+    const Mat3 r0 = random.rotation();
+    const Vec3 d = random.unit(), weights = random.vec();
+    const auto lookUpAt = [&](const Vec3& line, double turned) {
+      const Mat3 own = r0 * rotationAbout({0, 0, 1}, turned);
+      const auto frame = deformedFrame(tangents(dot(weights, own.column(0)) * line, dot(weights, own.column(1)) * line),
+                                       FrameMode::bisector, Orthogonal<TangentSpace, ObjectSpace>(own.transposed()));
+      EXPECT_TRUE(frame.collapsed);
+      return own * frame.tangent_from_space.raw();
+    };
+    const Mat3 look_up = lookUpAt(d, 0);
+    expectOrthonormal(look_up, 1);
+    // The tangent that kept most of its length is the part of `weights` in the plane; either of its signs may be meant.
+    Vec3 kept = weights - dot(weights, r0.column(2)) * r0.column(2);
+    kept = kept / length(kept);
+    off_line.add(length(look_up * d - kept));
+    if (dot(kept, d) < -0.9) continue;  // near the half turn a little turns it much
+    phase.add(distanceOf(lookUpAt(d, random.uniform(-kPi, kPi)), look_up));
+    const Vec3 beside = d + 1e-6 * random.unit();
+    jump.add(distanceOf(lookUpAt(beside / length(beside), 0), look_up));
   }
+  test::recordHardCase(8, "rank one: the line of the carried tangents, taken back, off the tangent that made it",
+                       off_line.value, test::atMost(1e-12));
+  test::recordHardCase(8, "rank one: the fallback for two phases of (u0, v0) differs by", phase.value,
+                       test::atMost(1e-12));
+  test::recordHardCase(8, "rank one: step of the fallback for a line turned by 1e-6 rad", jump.value,
+                       test::atMost(1e-5));
+  // Nothing left: as at rest.
+  const Mat3 r0 = random.rotation();
+  const auto none =
+      deformedFrame(tangents({}, {}), FrameMode::bisector, Orthogonal<TangentSpace, ObjectSpace>(r0.transposed()));
+  EXPECT_LE(distanceOf(r0 * none.tangent_from_space.raw(), Mat3{}), 1e-15);
 }
 
 TEST(DeformedFrame, EveryMagnitudeGivesAnOrthonormalFrame) {

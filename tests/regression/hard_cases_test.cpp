@@ -8,6 +8,7 @@
 
 #include "base/error.h"
 #include "base/files.h"
+#include "base/image_io.h"
 #include "base/numeric.h"
 #include "base/parallel.h"
 #include "field/capture_file.h"
@@ -122,6 +123,35 @@ Difference differenceOf(const Frame& a, const Frame& b, const Same& same) {
 }
 Difference differenceOf(const Frame& a, const Frame& b) {
   return differenceOf(a, b, [](int x, int y) { return std::pair{x, y}; });
+}
+
+/// A picture for the page: the frame, and beside it each layer in false colours from violet (low) to yellow (high).
+struct ShownLayer {
+  const char* channel;
+  double low, high;
+};
+void showPicture(int row, const std::string& name, const Frame& frame, const std::vector<ShownLayer>& layers) {
+  const auto folder = test::hardCasePictures();
+  if (!folder) return;
+  static constexpr double kStops[4][3] = {{50, 20, 110}, {180, 40, 110}, {245, 125, 50}, {250, 240, 140}};
+  const int width = frame.rgba.width(), height = frame.rgba.height();
+  Image8 out(width * (1 + static_cast<int>(layers.size())), height, 3, 255);
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x) {
+      if (frame.rgba.at(x, y, 3) == 0) continue;
+      for (int c = 0; c < 3; ++c) {
+        const double linear = std::clamp(1.5 * frame.rgba.at(x, y, c), 0.0, 1.0);
+        out.at(x, y, c) = static_cast<std::uint8_t>(std::lround(255 * std::pow(linear, 1 / 2.2)));
+        for (std::size_t l = 0; l < layers.size(); ++l) {
+          const double value = frame.layers.at(layers[l].channel).at(x, y);
+          const double t = 3 * std::clamp((value - layers[l].low) / (layers[l].high - layers[l].low), 0.0, 1.0);
+          const int i = std::min(2, static_cast<int>(t));
+          out.at(x + width * static_cast<int>(l + 1), y, c) =
+              static_cast<std::uint8_t>(std::lround(std::lerp(kStops[i][c], kStops[i + 1][c], t - i)));
+        }
+      }
+    }
+  writePng(*folder / ((row < 10 ? "0" : "") + std::to_string(row) + "_" + name + ".png"), out);
 }
 
 TEST_F(HardCases, DeformationsThatDoNothingLeaveThePicture) {
@@ -454,6 +484,31 @@ TEST_F(HardCases, ALoopOfFramesReturnsToItsFirstPicture) {
                        ": values of the first frame whose bits changed",
                    changed, atMost(0));
   }
+}
+
+TEST_F(HardCases, PicturesForThePage) {
+  // Nothing is measured here: the layers show what the other tests measure.
+  if (!test::hardCasePictures()) GTEST_SKIP() << "skipped: no page is being made";
+  FrameSettings settings;
+  settings.layers = {"stretch", "shear", "handedness", "fallback", "overlap"};
+  settings.samples = 4;
+  const auto show = [&](int row, const std::string& name, const test::FormulaField& field, const Deformation& psi,
+                        const Camera<ObjectSpace>& camera, const std::vector<ShownLayer>& layers) {
+    showPicture(row, name, render(field, psi, camera, lights(), settings), layers);
+  };
+  const Deformation twist = psiOf(R"({"type": "twist", "axis": [0,0,1], "degrees_per_unit": 100})");
+  show(6, "twist", *field_, twist, cameraFrom({1, -5, 2}, {}, 160),
+       {{"stretch.max", 1, 2.5}, {"stretch.min", 0.4, 1}, {"shear", -60, 60}});
+  show(5, "half_mirrored", *field_, Deformation({std::make_shared<HalfMirror>()}),
+       cameraFrom({-1.5, -7, 2}, {-1.5, 0, 0}, 160), {{"handedness", -1, 1}});
+  show(8, "collapsed", *field_, Deformation({std::make_shared<Collapse>(1)}), cameraFrom({0, -5, 1}, {}, 160),
+       {{"fallback", 0, 1}});
+  show(13, "crease", *field_, Deformation({std::make_shared<Crease>()}), cameraFrom({0.2, -3, 4}, {}, 160),
+       {{"stretch.max", 1, 1.2}, {"shear", -30, 30}});
+  show(15, "fold", *field_,
+       psiOf(R"({"type": "bend", "axis": [0,0,1], "toward": [1,0,0], "degrees_per_unit": 114.59155902616465})"),
+       cameraFrom({5, 0.3, 1}, {}, 160), {{"handedness", -1, 1}});
+  show(28, "surfels_twisted", surfelField(), twist, cameraFrom({1, -5, 2}, {}, 160), {{"overlap", 0, 12}});
 }
 
 TEST(HardCaseLights, OutsideTheCapturedCapWeightsStayFiniteAndPositive) {
