@@ -14,7 +14,7 @@ packages=(
   # JSON, command lines, compression, checksums
   nlohmann-json3-dev libcli11-dev libzstd-dev libxxhash-dev
   # tests and benchmarks
-  libgtest-dev libbenchmark-dev
+  libgtest-dev librapidcheck-dev libbenchmark-dev
   # videos
   ffmpeg
 )

@@ -1,0 +1,77 @@
+#!/usr/bin/env python3
+"""Makes doc/hard_cases.md of what the tests recorded: page.py FOLDER BUILD... (FOLDER holds one file of JSON lines a build)."""
+import json
+import os
+import pathlib
+import sys
+
+root = pathlib.Path(__file__).resolve().parents[2]
+rows = json.loads((root / "tools/nightly/rows.json").read_text())
+folder, builds = pathlib.Path(sys.argv[1]), [b for b in sys.argv[2:] if (pathlib.Path(sys.argv[1]) / b).exists()]
+if not builds:
+    sys.exit("page.py: no build has recorded anything")
+
+found = {}  # (row, what) -> {"bound", "at_least", "tests", build: worst}
+for build in builds:
+    for line in (folder / build).read_text().splitlines():
+        r = json.loads(line)
+        entry = found.setdefault((r["row"], r["what"]), {"bound": r["bound"], "at_least": r["at_least"], "tests": set(), "by": {}})
+        test = r["test"].split("/")
+        entry["tests"].add("/".join(test[1:2] if len(test) > 1 and "." in test[1] else test[:1]))
+        worst = min if r["at_least"] else max
+        values = [v for v in (entry["by"].get(build), r["measured"]) if v is not None]
+        entry["by"][build] = float("nan") if r["measured"] is None else worst(values)
+
+
+def number(x):
+    return f"{x:.3g}" if x != int(x) or abs(x) >= 1e6 else f"{int(x)}"
+
+
+def margin(entry, worst):
+    bound = entry["bound"]
+    if worst != worst:
+        return "**broken**"
+    kept = worst >= bound if entry["at_least"] else worst <= bound
+    if not kept:
+        return "**broken**"
+    if bound == 0:
+        return "exact"
+    if worst == 0:
+        return "all of it"
+    ratio = worst / bound if entry["at_least"] else bound / worst
+    return f"{ratio:.3g} x"
+
+
+full = os.environ.get("SRF_NIGHTLY") == "1"
+print("# Hard cases\n")
+print("Made by `tools/nightly.sh` from what the tests measured: " + ("full size" if full else "the size that runs with each change")
+      + "; builds: " + ", ".join(f"`{b}`" for b in builds) + ". The worst of all builds and of all tests of a line stands in the table; "
+      "margin is how many times further from the bound it could be.\n")
+print("`release` is optimised with wide code (AVX2), `scalar` the same without it, `debug` is -O0, `asan` and `tsan` carry the sanitizers. "
+      "Geometry, frames and deformations are computed in double throughout; rays, light weights and pixels in float, whose plain double "
+      "counterparts (`reflectanceDotReference`, brute force in the tests) they are held against.\n")
+missing = []
+for row in rows:
+    entries = {k: v for k, v in found.items() if k[0] == row["row"]}
+    print(f"## {row['row']}. {row['case']}\n")
+    print(f"Right: {row['right']}.\n")
+    if row.get("seen"):
+        print(f"Seen to fail: {row['seen']}.\n")
+    if row.get("open"):
+        print(f"Not so yet: {row['open']}.\n")
+    if not entries:
+        missing.append(str(row["row"]))
+        print("No test recorded it in this run.\n")
+        continue
+    print("| measured | worst | bound | margin | test |\n|---|---|---|---|---|")
+    for (_, what), e in entries.items():
+        values = list(e["by"].values())
+        worst = float("nan") if any(v != v for v in values) else (min if e["at_least"] else max)(values)
+        sign = "at least" if e["at_least"] else "at most"
+        what = what.replace("|", "\\|")
+        print(f"| {what} | {number(worst)} | {sign} {number(e['bound'])} | {margin(e, worst)} | `{'`, `'.join(sorted(e['tests']))}` |")
+    print()
+    for picture in sorted((root / "doc/images/hard_cases").glob(f"{row['row']:02d}_*.png")):
+        print(f"![{row['case']}](images/hard_cases/{picture.name})\n")
+if missing:
+    print(f"Rows without a record in this run: {', '.join(missing)}.")
