@@ -1,6 +1,7 @@
 #include "model/deformed_model.h"
 
 #include <algorithm>
+#include <climits>
 #include <cmath>
 #include <limits>
 
@@ -32,6 +33,9 @@ constexpr double kMostBend = 0.125;
 constexpr int kMostSplits = 3;  // times; at a crease of Psi no size is small enough
 // Seven discs of half the radius cover a disc, the outer six at this part of its radius; a little larger, they overlap.
 constexpr double kPartRadius = 0.55, kPartDistance = 0.8660254037844386;
+// Distance of neighbouring surfels in radii (surface_sampling.cpp).
+constexpr double kSurfelSpacing = 0.8;
+constexpr std::size_t kSpacingSample = 1 << 12;  // splats that tell it
 // In-plane phases further apart than 60 degrees are turned together before they are blended: opposed ones would cancel.
 constexpr double kPhaseCosine = 0.5;
 // Squared sine between blended rest tangents below which they are no frame: points of opposite normals were blended.
@@ -227,6 +231,22 @@ Box<ObjectSpace> DeformedModel::bounds() const {
     box.extend(splat.p_star + half);
   }
   return box;
+}
+
+int DeformedModel::raysAcross(const Camera<ObjectSpace>& camera) const {
+  std::vector<double> across;  // pixels in radii
+  for (std::size_t i = 0; i < splats_.size(); i += splats_.size() / kSpacingSample + 1) {
+    const Splat& splat = splats_[i];
+    const double depth = dot(camera.forward(), splat.p_star - camera.center());
+    const double radius = splat.radius * std::sqrt(length(cross(splat.tangents.u, splat.tangents.v)));
+    const bool faces = dot(splat.outward, camera.viewDirection(splat.p_star).raw()) > 0;
+    if (!faces || !(radius > 0) || !(depth > 0 || camera.lens.isOrthographic())) continue;
+    across.push_back(camera.pixelFootprint(depth) / radius);
+  }
+  if (across.empty()) return 1;
+  const auto middle = across.begin() + static_cast<std::ptrdiff_t>(across.size() / 2);
+  std::nth_element(across.begin(), middle, across.end());
+  return *middle <= 1 ? 1 : static_cast<int>(std::min(std::ceil(*middle / kSurfelSpacing), double{INT_MAX}));
 }
 
 void DeformedModel::intersect(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const {

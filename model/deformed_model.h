@@ -53,6 +53,9 @@ class DeformedModel {
   /// Ray scene of the deformed triangles or splats (for shadow rays).
   const RayScene<ObjectSpace>& rays() const { return *scene_; }
   Box<ObjectSpace> bounds() const;
+  /// How many rays side by side in a pixel of the camera are as close together as neighbouring surfels, in the middle
+  /// of those that face it; 1 where these are as large as a pixel, and for triangles.
+  int raysAcross(const Camera<ObjectSpace>& camera) const;
 
  private:
   void carry(const Deformation& psi, const MovedVertices* moved);

@@ -41,6 +41,15 @@ std::vector<Vec2> samplePattern(int samples) {
   return pattern;
 }
 
+/// Samples of a pixel: as many as asked for, and where surfels are smaller than a pixel, as many as these lie in it
+/// (the low-pass of EWA splatting, by quadrature: every sample is a look-up of its own. A splat enlarged to the pixel
+/// would blend places and then look up one of them, which still is one texel out of many).
+int samplesOf(const FrameSettings& settings, const Camera<ObjectSpace>& camera, const DeformedModel& deformed) {
+  constexpr int kMostAcross = 8;
+  const int across = std::min(deformed.raysAcross(camera), kMostAcross);
+  return std::max({1, settings.samples, across * across});
+}
+
 struct LayerGroup {
   const char* name;
   std::vector<const char*> channels;  ///< of the group "view": made from k
@@ -480,7 +489,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
                             const FrameLights& lights) {
   State& s = *state_;
   const int width = camera.lens.width, height = camera.lens.height;
-  const std::vector<Vec2> pattern = samplePattern(std::max(1, s.settings.samples));
+  const std::vector<Vec2> pattern = samplePattern(samplesOf(s.settings, camera, deformed));
   auto clock = Clock::now();
   const auto lap = [&](const std::string& stage) {
     s.seconds[stage] += secondsSince(clock);
@@ -583,6 +592,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   frame.layers = layers.take();
   lap("resolve");
 
+  s.reporter.figure("samples_per_pixel", static_cast<double>(pattern.size()));
   s.reporter.count("hits", hit_count);
   s.reporter.count("operations", operation_count);
   s.reporter.count("light_vectors", vector_count);
@@ -602,7 +612,7 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
                                         const FrameLights& lights, int x, int y) {
   State& s = *state_;
   SRF_CHECK(x >= 0 && y >= 0 && x < camera.lens.width && y < camera.lens.height);
-  const std::vector<Vec2> pattern = samplePattern(std::max(1, s.settings.samples));
+  const std::vector<Vec2> pattern = samplePattern(samplesOf(s.settings, camera, deformed));
   const FrameLighting lighting(lights, s.lists, s.lightingOptions(deformed, lights));
   s.shared.prepare(lighting);
   PixelRays rays;

@@ -34,8 +34,9 @@ struct FrameSettings {
   const ReflectanceFit* fit = nullptr;  ///< guides the interpolation; none: plain. Must outlive the renderer
   Shadows shadows = Shadows::captured;  ///< of guided interpolation
   bool model_alone = false;             ///< what the fit would show without the photographs: for studies
-  int samples = 1;                      ///< per pixel, a regular or stratified pattern (deterministic)
-  std::set<std::string> layers;         ///< groups asked for; others cost nothing
+  /// Per pixel, a regular or stratified pattern (deterministic); more where surfels are smaller than a pixel, up to 64.
+  int samples = 1;
+  std::set<std::string> layers;                     ///< groups asked for; others cost nothing
   std::size_t memory_bytes = std::size_t{1} << 30;  ///< for blocks, operations and weights together
 };
 

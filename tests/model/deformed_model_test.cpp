@@ -8,9 +8,14 @@
 #include <numeric>
 #include <random>
 
+#include "base/error.h"
+#include "base/files.h"
+#include "base/mesh_io.h"
 #include "base/parallel.h"
+#include "model/surfel_file.h"
 #include "tests/model/test_shapes.h"
 #include "tests/support/hard_case.h"
+#include "tests/support/test_support.h"
 
 namespace srf {
 namespace {
@@ -558,6 +563,44 @@ TEST(Surfels, SitOnTheMeshWithTheirAnchors) {
       // through the curved surface.
       ASSERT_GT(distance(model.p0[i], model.p0[k]), 0.75 * model.radius[i]);
   }
+}
+
+TEST(Surfels, AreWrittenWithTheNamesThatOtherProgramsRead) {
+  const test::TemporaryFolder folder;
+  const DeformableModel model = modelOf(test::torus(40, 20), ModelKind::surfels, 500);
+  writeSurfels(folder / "s.ply", model);
+  const std::string text = readTextFile(folder / "s.ply");
+  EXPECT_TRUE(text.starts_with("ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(model.size()) +
+                               "\nproperty double x\nproperty double y\nproperty double z\nproperty float nx\n"
+                               "property float ny\nproperty float nz\nproperty float radius\nend_header\n"));
+  const AcquisitionMesh cloud = readMesh(folder / "s.ply");
+  EXPECT_EQ(cloud.positions, model.p0);
+  for (std::size_t i = 0; i < model.size(); ++i)
+    ASSERT_LE(angleBetweenUnit(cloud.normals[i].raw(), rotationFromRodrigues(model.r0[i]).raw().column(2)), 1e-6);
+  EXPECT_EQ(text.size(), text.find("end_header\n") + 11 + model.size() * (3 * 8 + 4 * 4));
+  float last = 0;
+  std::memcpy(&last, text.data() + text.size() - 4, 4);
+  EXPECT_EQ(last, model.radius.back());
+  EXPECT_THROW(writeSurfels(folder / "s.obj", model), Error);
+  EXPECT_THROW(writeSurfels(folder / "t.ply", modelOf(test::torus(40, 20))), Error);
+}
+
+TEST(Surfels, SmallerThanAPixelAskForAsManyRaysAsLieInIt) {
+  const DeformableModel model = modelOf(test::sphere(24), ModelKind::surfels, 12000);
+  DeformedModel deformed(model);
+  Camera<ObjectSpace> camera;
+  camera.pose = *lookAt(Point<ObjectSpace>(0, -50, 0), Point<ObjectSpace>(), Vector<ObjectSpace>(0, 0, 1));
+  const auto across = [&](double radii) {
+    camera.lens = pinholeFromFov(64, 64, 10);
+    camera.lens.fl_x = camera.lens.fl_y = 49.3 / (radii * model.radius[0]);  // what faces the camera is at 49 to 50
+    return deformed.raysAcross(camera);
+  };
+  EXPECT_EQ(across(0.9), 1);
+  EXPECT_EQ(across(1.5), 2);
+  EXPECT_EQ(across(3.5), 5);
+  deformed.deform(psiOf(R"({"type": "affine", "matrix": [[0.5,0,0,0],[0,0.5,0,0],[0,0,0.5,0],[0,0,0,1]]})"));
+  EXPECT_EQ(across(0.9), 3);
+  EXPECT_EQ(DeformedModel(modelOf(test::sphere(4))).raysAcross(camera), 1);
 }
 
 TEST(Surfels, TheSameInputGivesTheSameSurfels) {
