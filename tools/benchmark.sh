@@ -36,5 +36,9 @@ fi
   echo "## The same with every light weight exact (no sharing)"
   echo
   build/release/bench/stage_benchmark tools/benchmark/twist.json --srf "$work/bumpy.srf" --set /accuracy/light_sharing=0 --repeats 3
+  echo
+  echo "## Deforming and refitting a million triangles"
+  echo
+  build/release/bench/deform_benchmark
 } > "$work/performance.md"
 mv "$work/performance.md" doc/performance.md
