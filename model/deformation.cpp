@@ -454,7 +454,7 @@ Linear<ObjectSpace, AcquisitionSpace> Deformation::differences(const Point<Acqui
 namespace {
 
 AnimatedDeformation::BindVertices parseSkin(const JsonNode& node, const std::filesystem::path& folder) {
-  node.onlyKeys({"type", "file", "mesh", "animation", "proxy"});
+  node.onlyKeys({"type", "file", "mesh", "animation", "proxy", "loop"});
   SkinSource source;
   source.gltf = std::make_shared<const Gltf>(readGltf(folder / node["file"].string()));
   source.where = node.where();
@@ -462,6 +462,7 @@ AnimatedDeformation::BindVertices parseSkin(const JsonNode& node, const std::fil
   source.animation =
       source.gltf->animation(node.has("animation") ? node["animation"].string() : "", node.where() + "/animation");
   source.proxy = node.has("proxy") && node["proxy"].boolean();
+  source.loop = node.has("loop") && node["loop"].boolean();
   return [source](const AcquisitionMesh& rest, double fps, Reporter& reporter) {
     return skinMotion(source, rest, fps, reporter);
   };

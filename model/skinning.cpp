@@ -144,9 +144,22 @@ class PosedSource {
   void choose(const RestPose& rest) { rest_ = &rest - rests_.data(); }
   const RestPose& rest() const { return rests_[rest_]; }
 
+  double seconds(double frame) const {
+    const double time = frame / fps_;
+    if (!source_.loop || !source_.animation) return time;
+    double first = INFINITY, last = -INFINITY;
+    for (const GltfChannel& channel : source_.animation->channels) {
+      first = std::fmin(first, channel.times.front());
+      last = std::fmax(last, channel.times.back());
+    }
+    if (!(last > first)) return time;
+    const double turns = (time - first) / (last - first);
+    return first + (turns - std::floor(turns)) * (last - first);
+  }
+
   /// Positions, and whether the motion from rest mirrors: not told where morph targets alone move the mesh (M8).
   MovedVertices at(double frame) const {
-    PosedMesh posed = posedMesh(*source_.gltf, source_.node, poseAt(*source_.gltf, source_.animation, frame / fps_));
+    PosedMesh posed = posedMesh(*source_.gltf, source_.node, poseAt(*source_.gltf, source_.animation, seconds(frame)));
     MovedVertices moved;
     for (const Vec3& p : posed.positions) moved.positions.emplace_back(objectFromGltf(p));
     const bool skinned = source_.gltf->nodes[static_cast<std::size_t>(source_.node)].skin >= 0;

@@ -18,6 +18,7 @@ struct SkinSource {
   int node = 0;                              ///< that carries the mesh
   const GltfAnimation* animation = nullptr;  ///< null: as the file stands
   bool proxy = false;
+  bool loop = false;  ///< the animation repeats, from its last key on with its first
   std::string where;  ///< what errors name
 };
 

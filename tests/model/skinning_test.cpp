@@ -74,11 +74,13 @@ void bend(Gltf& gltf, double low, double high, double height) {
   animate(gltf, 2, GltfPath::rotation, {0, 0, 0, 1}, {std::sin(0.5), 0, 0, std::cos(0.5)});  // 1 radian
 }
 
-std::unique_ptr<const VertexMotion> motionOf(Gltf gltf, const AcquisitionMesh& rest, bool proxy = false) {
+std::unique_ptr<const VertexMotion> motionOf(Gltf gltf, const AcquisitionMesh& rest, bool proxy = false,
+                                             bool loop = false) {
   SkinSource source;
   source.gltf = std::make_shared<const Gltf>(std::move(gltf));
   source.animation = source.gltf->animations.empty() ? nullptr : &source.gltf->animations[0];
   source.proxy = proxy;
+  source.loop = loop;
   source.where = "scene.json: /deformation/0";
   return skinMotion(source, rest, kFps, Reporter::silent());
 }
@@ -139,6 +141,20 @@ TEST(Skinning, TheIndexHoldsWhereTheRestWasMovedAway) {
   gltf.nodes[0].translation = {5, 0, 0};
   const auto moved = motionOf(gltf, rest)->at(0);
   EXPECT_LE(distance(moved.positions[7], Point<ObjectSpace>(rest.positions[7].raw() + Vec3{5, 0, 0})), 1e-12);
+}
+
+TEST(Skinning, ALoopBeginsAnewAfterItsLastKey) {
+  const AcquisitionMesh rest = test::torus(20, 10);
+  Gltf gltf = gltfOf(rest);
+  animate(gltf, 0, GltfPath::translation, {0, 0, 0}, {24, 0, 0});  // a unit a frame
+  const auto once = motionOf(gltf, rest), loop = motionOf(gltf, rest, false, true);
+  const auto x = [&](const VertexMotion& motion, double frame) {
+    return motion.at(frame).positions[0].raw().x - rest.positions[0].raw().x;
+  };
+  EXPECT_NEAR(x(*once, 29), 24, 1e-9);
+  EXPECT_NEAR(x(*loop, 29), 5, 1e-9);
+  EXPECT_NEAR(x(*loop, -1), 23, 1e-9);
+  EXPECT_NEAR(x(*loop, 24), 0, 1e-9);
 }
 
 TEST(Skinning, WhatDoesNotFitIsRefusedWithTheVertex) {
