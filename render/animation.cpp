@@ -170,6 +170,9 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
       if (!moved || !scene.deformation.constant()) {
         deformed.deform(scene.deformation.at(number), vertices ? &*vertices : nullptr);
         countPoints(deformed.statistics(), number, reporter);
+        if (const std::size_t unsure = deformed.statistics().unsure_handedness; unsure > 0 && !moved)
+          reporter.warn("the mesh that moves is open in parts: nothing tells whether " + std::to_string(unsure) +
+                        " of its vertices are mirrored, and they are taken not to be");
         moved = true;
       }
       if (!renderer) renderer.emplace(srf, manifest, model, settings, reporter);
