@@ -13,9 +13,9 @@ namespace {
 constexpr float kLowest = 0.05f, kLowEnough = 0.12f;
 constexpr float kCosine = 0.1f, kMostRatio = 2;
 // The lit residual fades out where less than this share of the captured lights about the one asked for light the point.
-constexpr double kFade = 0.25;
+constexpr float kFade = 0.25f;
 // Within the first of a captured light the photographs' own shadows show, beyond the second those of the rays.
-const double kNear = radians(1), kNotNear = radians(5);
+constexpr float kNear = static_cast<float>(radians(1)), kNotNear = static_cast<float>(radians(5));
 // Shadow rays start this far off the surface, of the object's diameter: above rounding and the facets of a mesh.
 constexpr double kRayOffset = 5e-4;
 constexpr double kShortOfLight = 0.999;  // of the distance to a point light, which may stand in the object itself
@@ -28,6 +28,22 @@ float dot3(const std::array<float, 3>& a, float x, float y, float z) {
 }
 std::size_t padded(std::size_t count) {
   return (count + 7) / 8 * 8;
+}
+
+float square(float x) {
+  return x * x;
+}
+float smoothstepf(float edge0, float edge1, float x) {
+  const float t = std::clamp((x - edge0) / (edge1 - edge0), 0.f, 1.f);
+  return t * t * (3 - 2 * t);
+}
+
+/// sum a[i] b[i] over a multiple of 8, in eight partial sums.
+float sumOfProducts(const float* a, const float* b, std::size_t count) {
+  float sum[8] = {};
+  for (std::size_t i = 0; i < count; i += 8)
+    for (int lane = 0; lane < 8; ++lane) sum[lane] += a[i + lane] * b[i + lane];
+  return ((sum[0] + sum[4]) + (sum[2] + sum[6])) + ((sum[1] + sum[5]) + (sum[3] + sum[7]));
 }
 
 /// Share of a hit's points whose bit is set in the column.
@@ -170,27 +186,96 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
   for (std::size_t i = 0; i < asked.size(); ++i) block.visible[asked[i]] = blocked[i] ? 0.f : 1.f;
 }
 
-void GuidedLighting::readBits(const AcquiredLights& list, GuidedBlock& block, const GuidedBlock::Hit& hit) const {
-  const std::size_t count = list.count(), size = padded(count);
-  for (auto* array :
-       {&block.list_x, &block.list_y, &block.lit, &block.disagree, &block.facing, &block.usable, &block.inverse_cosine})
-    array->assign(size, 0);
-  block.list_z.assign(size, 1);
+void GuidedLighting::readCaptured(const AcquiredLights& list, GuidedBlock& block, const GuidedBlock::Hit& hit) const {
+  block.captured.assign(list.count(), {});
   bool any = false;
   for (const std::uint32_t i : list.usable()) {
+    GuidedBlock::Captured& light = block.captured[i];
     const std::array<float, 3> l = floats(list.directionOf(i, hit.query.look_up->p).raw());
-    block.list_x[i] = l[0], block.list_y[i] = l[1], block.list_z[i] = l[2];
+    light.x = l[0], light.y = l[1], light.z = l[2];
     const std::uint32_t column = list.ids()[i].value;
-    block.lit[i] = share(fit_.lit, *hit.query.hit, column);
-    if (corrected_) block.disagree[i] = std::fabs(block.lit[i] - share(fit_.lit_by_rays, *hit.query.hit, column));
-    block.usable[i] = share(fit_.lit_around, *hit.query.hit, column);
-    any = any || block.usable[i] > 0;
+    light.lit = share(fit_.lit, *hit.query.hit, column);
+    if (corrected_) light.disagree = std::fabs(light.lit - share(fit_.lit_by_rays, *hit.query.hit, column));
+    light.usable = share(fit_.lit_around, *hit.query.hit, column);
+    any = any || light.usable > 0;
   }
   for (const std::uint32_t i : list.usable()) {
-    const float cosine = dot3(hit.reflectance.normal, block.list_x[i], block.list_y[i], block.list_z[i]);
-    block.facing[i] = static_cast<float>(smoothstep(kLowest, kLowEnough, cosine));
-    block.usable[i] = (any ? block.usable[i] : block.lit[i]) * block.facing[i];
-    block.inverse_cosine[i] = 1 / std::max(cosine, kCosine);
+    GuidedBlock::Captured& light = block.captured[i];
+    const float cosine = dot3(hit.reflectance.normal, light.x, light.y, light.z);
+    light.facing = smoothstepf(kLowest, kLowEnough, cosine);
+    light.usable = (any ? light.usable : light.lit) * light.facing;
+    light.inverse_cosine = 1 / std::max(cosine, kCosine);
+  }
+}
+
+/// The captured lights that stand for one light of the frame (M13).
+std::span<const LightShare> GuidedLighting::standIns(GuidedBlock& block, std::size_t index, std::size_t light,
+                                                     std::uint32_t list) const {
+  const std::size_t at = index * row_ + light, distant_count = lighting_.lights().distant.size();
+  const Vec3 rounded{block.x[at], block.y[at], block.z[at]};
+  if (light < distant_count && tables_[list]) return tables_[list]->at(rounded);
+  const LookUp& look_up = *block.hits[index].query.look_up;
+  const Direction<AcquisitionSpace> direction =
+      light < distant_count ? look_up.acquisition_from_object * lighting_.lights().distant[light].direction
+                            : normalize(Vector<AcquisitionSpace>(rounded)).value_or(look_up.normal);
+  lighting_.lists()[list].nearest(direction, look_up.p, block.order, block.weights);
+  block.shares.clear();
+  for (const Weighted& w : block.weights) block.shares.push_back({w.source, static_cast<float>(w.weight)});
+  return block.shares;
+}
+
+void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t list) const {
+  const GuidedBlock::Hit& hit = block.hits[index];
+  const FrameLights& lights = lighting_.lights();
+  const std::size_t distant_count = lights.distant.size(), near_count = lights.near_lights.size();
+  const float gate = options_.model_alone ? 1 : hit.gate;
+  const bool off = options_.shadows == Shadows::off;
+  block.amounts.assign(lighting_.lists()[list].count(), {});
+  for (auto& channel : block.reach) channel.assign(row_, 0);
+  for (std::size_t k = 0; k < distant_count + near_count; ++k) {
+    const std::size_t at = index * row_ + k;
+    const float x = block.x[at], y = block.y[at], z = block.z[at];
+    const float cosine = dot3(hit.reflectance.normal, x, y, z);
+    // Below the horizon only what is interpolated as it is could count.
+    if (!(cosine > 0) && gate >= 1 && !(hit.indirect > 0)) continue;
+    const std::array<float, 3> e =
+        floats(k < distant_count ? lights.distant[k].irradiance
+                                 : block.near_irradiance[index * near_count + k - distant_count]);
+    const std::span<const LightShare> shares = standIns(block, index, k, list);
+    // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
+    // the nearest is.
+    float lit = 0, facing = 0, usable = 0, disagree = 0, nearest = 4;
+    for (const auto& [i, w] : shares) {
+      const GuidedBlock::Captured& light = block.captured[i];
+      lit += w * light.facing * light.lit;
+      facing += w * light.facing;
+      usable += w * light.usable;
+      disagree += w * light.disagree;
+      nearest = std::min(nearest, square(x - light.x) + square(y - light.y) + square(z - light.z));
+    }
+    const float asked = block.visible[at];
+    const float captured = facing > 0 ? lit / facing : asked < 0 ? 1 : asked;
+    float visible = asked < 0 ? captured : asked;
+    if (disagree > 0 && !off) {
+      visible *= 1 - disagree;
+      for (const auto& [i, w] : shares) visible += w * block.captured[i].disagree * block.captured[i].lit;
+    }
+    const float nearness = nearest < kNotNear * kNotNear ? 1 - smoothstepf(kNear, kNotNear, std::sqrt(nearest)) : 0;
+    const float as_is = off ? 0 : hit.indirect + (1 - hit.indirect) * nearness;
+    const float shown = options_.shadows == Shadows::captured ? visible + nearness * (captured - visible) : visible;
+    for (int c = 0; c < 3; ++c) block.reach[c][k] = gate * shown * e[c];
+    if (options_.model_alone) continue;
+
+    const float relit = usable > 0 && cosine > 0 ? (1 - as_is) * visible * smoothstepf(0, kFade, usable) / usable : 0;
+    for (const auto& [i, w] : shares) {
+      const GuidedBlock::Captured& light = block.captured[i];
+      const float ratio = std::min(kMostRatio, cosine * light.inverse_cosine);
+      const float from_lit = w * gate * relit * light.usable * ratio, from_all = w * gate * as_is;
+      const float photograph = from_lit + from_all + w * (1 - gate), model = from_lit + from_all * light.lit;
+      float* const amount = block.amounts[i].of;
+      for (int c = 0; c < 3; ++c) amount[c] += photograph * e[c];
+      for (int c = 0; c < 3; ++c) amount[4 + c] += model * e[c];
+    }
   }
 }
 
@@ -198,142 +283,88 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
                                      std::array<double, 3>& color) const {
   const GuidedBlock::Hit& hit = block.hits[index];
   const AcquiredLights& list = lighting_.lists()[list_index];
-  const FrameLights& lights = lighting_.lights();
-  const LookUp& look_up = *hit.query.look_up;
-  const std::size_t distant_count = lights.distant.size(), near_count = lights.near_lights.size();
-  const std::size_t count = distant_count + near_count, pad = lightPad(list.count());
-  const float gate = options_.model_alone ? 1 : hit.gate;
-  const bool off = options_.shadows == Shadows::off;
-  readBits(list, block, hit);
-  block.stack_weights.assign(3 * pad, 0);
-  block.model_weights.assign(3 * pad, 0);
-  float* const stack = block.stack_weights.data();
-  float* const model = block.model_weights.data();
-
+  const Point<AcquisitionSpace>& p = hit.query.look_up->p;
+  const std::size_t longest = std::max(row_, padded(std::max(list.count(), 1)));
   std::array<float*, kModelTerms> terms;
-  for (int k = 0; k < kModelTerms; ++k) {
-    block.terms[k].resize(std::max({row_, pad, std::size_t{8}}));
-    terms[k] = block.terms[k].data();
+  for (int t = 0; t < kModelTerms; ++t) {
+    block.terms[t].resize(longest);
+    terms[t] = block.terms[t].data();
   }
-  const float* const x = block.x.data() + index * row_;
-  const float* const y = block.y.data() + index * row_;
-  const float* const z = block.z.data() + index * row_;
-  modelTerms(hit.reflectance, hit.view, {x, y, z, static_cast<int>(count)}, terms);
-  std::array<std::array<double, 3>, kModelTerms> direct{};  // what reaches the eye by the model, by coefficient
-
-  // What stands for irradiance from each captured light, before it is divided by what that light gave.
-  const auto add = [pad](float* weights, std::uint32_t i, float amount, const Rgb& e) {
-    for (int c = 0; c < 3; ++c) weights[c * pad + i] += amount * e[c];
+  for (int c = 0; c < 3; ++c) {
+    block.used_direction[c].resize(longest);
+    block.used_amount[c].assign(longest, 0);
+  }
+  float* const use[3] = {block.used_direction[0].data(), block.used_direction[1].data(),
+                         block.used_direction[2].data()};
+  const auto use_light = [&](std::size_t to, const GuidedBlock::Captured& light) {
+    use[0][to] = light.x, use[1][to] = light.y, use[2][to] = light.z;
   };
-  for (std::size_t k = 0; k < count; ++k) {
-    const bool near = k >= distant_count;
-    const Vec3& irradiance =
-        near ? block.near_irradiance[index * near_count + k - distant_count] : lights.distant[k].irradiance;
-    const Rgb e = floats(irradiance);
-    std::span<const LightShare> shares;
-    if (!near && tables_[list_index]) {
-      shares = tables_[list_index]->at({x[k], y[k], z[k]});
-    } else {
-      const Direction<AcquisitionSpace> light =
-          near ? normalize(Vector<AcquisitionSpace>(Vec3{x[k], y[k], z[k]})).value_or(look_up.normal)
-               : look_up.acquisition_from_object * lights.distant[k].direction;
-      list.nearest(light, look_up.p, block.order, block.weights);
-      block.shares.clear();
-      for (const Weighted& w : block.weights) block.shares.push_back({w.source, static_cast<float>(w.weight)});
-      shares = block.shares;
-    }
-    // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
-    // the nearest is.
-    float lit = 0, facing = 0, usable = 0, disagree = 0, nearest = 4;
-    for (const auto& [i, w] : shares) {
-      lit += w * block.facing[i] * block.lit[i];
-      facing += w * block.facing[i];
-      usable += w * block.usable[i];
-      disagree += w * block.disagree[i];
-      const float dx = x[k] - block.list_x[i], dy = y[k] - block.list_y[i], dz = z[k] - block.list_z[i];
-      nearest = std::min(nearest, dx * dx + dy * dy + dz * dz);
-    }
-    const float asked = block.visible[index * row_ + k];
-    const float captured = facing > 0 ? lit / facing : asked < 0 ? 1 : asked;
-    float visible = asked < 0 ? captured : asked;
-    if (disagree > 0 && !off) {
-      visible *= 1 - disagree;
-      for (const auto& [i, w] : shares) visible += w * block.disagree[i] * block.lit[i];
-    }
-    const float nearness = 1 - static_cast<float>(smoothstep(kNear, kNotNear, std::sqrt(nearest)));
-    const float from_indirect = off ? 0 : hit.indirect + (1 - hit.indirect) * nearness;
-    const float shown = options_.shadows == Shadows::captured ? visible + nearness * (captured - visible) : visible;
-    if (shown > 0)
-      for (int t = 0; t < kModelTerms; ++t)
-        for (int c = 0; c < 3; ++c) direct[t][c] += gate * shown * e[c] * terms[t][k];
-    if (options_.model_alone) continue;
+  const auto coefficient = [&](int t, int c) { return double{hit.reflectance.coefficient[t][c]}; };
 
-    const float cosine = dot3(hit.reflectance.normal, x[k], y[k], z[k]);
-    const float from_lit = usable > 0 && cosine > 0 ? (1 - from_indirect) * visible *
-                                                          static_cast<float>(smoothstep(0, kFade, usable)) / usable
-                                                    : 0;
-    for (const auto& [i, w] : shares) {
-      const float relit =
-          w * gate * from_lit * block.usable[i] * std::min(kMostRatio, cosine * block.inverse_cosine[i]);
-      const float as_is = w * gate * from_indirect;
-      add(stack, i, relit + as_is + w * (1 - gate), e);
-      add(model, i, relit + as_is * block.lit[i], e);
-    }
-  }
-  for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(list.count()); ++i) {
-    const Vec3 inverse = list.inverseIrradiance(i, look_up.p);
+  readCaptured(list, block, hit);
+  spread(block, index, list_index);
+  double list_share = 0;
+  for (const ChosenView& chosen : hit.query.chosen)
+    if (list_of_view_[chosen.view] == list_index) list_share += chosen.weight;
+
+  // What reaches the eye by the model.
+  modelTerms(hit.reflectance, hit.view,
+             {block.x.data() + index * row_, block.y.data() + index * row_, block.z.data() + index * row_,
+              static_cast<int>(row_)},
+             terms);
+  for (int t = 0; t < kModelTerms; ++t)
+    for (int c = 0; c < 3; ++c)
+      color[c] += list_share * coefficient(t, c) * sumOfProducts(block.reach[c].data(), terms[t], row_);
+
+  // The photographs are divided by what their light gave; where a light is dark in a channel they hold nothing.
+  for (const std::uint32_t i : list.usable()) {
+    const Vec3 inverse = list.inverseIrradiance(i, p);
     for (int c = 0; c < 3; ++c) {
-      stack[c * pad + i] *= static_cast<float>(inverse[c]);
-      if (!(inverse[c] > 0)) model[c * pad + i] = 0;  // a channel in which the light is dark holds nothing
+      block.amounts[i].of[c] *= static_cast<float>(inverse[c]);
+      if (!(inverse[c] > 0)) block.amounts[i].of[4 + c] = 0;
     }
   }
-  for (const RestLight& rest : lights.rest) {  // a light of the capture itself: only the view differs
+  for (const RestLight& rest : lighting_.lights().rest) {  // a light of the capture itself: only the view differs
     const auto at = list.find(rest.light);
     if (!at) continue;
-    if (!options_.model_alone) add(stack, *at, static_cast<float>(rest.scale), {1, 1, 1});
-    const Vec3 inverse = list.inverseIrradiance(*at, look_up.p);
-    float lx[8] = {}, ly[8] = {}, lz[8] = {};
-    lx[0] = block.list_x[*at], ly[0] = block.list_y[*at], lz[0] = block.list_z[*at];
-    modelTerms(hit.reflectance, hit.view, {lx, ly, lz, 1}, terms);
+    GuidedBlock::Amount& amount = block.amounts[*at];
+    const Vec3 inverse = list.inverseIrradiance(*at, p);
+    use_light(0, block.captured[*at]);
+    modelTerms(hit.reflectance, hit.view, {use[0], use[1], use[2], 1}, terms);
+    const float gate = options_.model_alone ? 1 : hit.gate;
     for (int c = 0; c < 3; ++c) {
+      if (!options_.model_alone) amount.of[c] += static_cast<float>(rest.scale);
       if (!(inverse[c] > 0)) continue;
-      const double amount = gate * rest.scale * block.lit[*at] / inverse[c];
-      for (int t = 0; t < kModelTerms; ++t) direct[t][c] += amount * terms[t][0];
-      if (!options_.model_alone) model[c * pad + *at] += static_cast<float>(amount);
+      const double lit = gate * rest.scale * block.captured[*at].lit / inverse[c];
+      for (int t = 0; t < kModelTerms; ++t) color[c] += list_share * coefficient(t, c) * lit * terms[t][0];
+      if (!options_.model_alone) amount.of[4 + c] += static_cast<float>(lit);
     }
   }
 
-  // Only the lights that count are evaluated for the views.
-  std::vector<std::uint32_t>& used = block.used;
-  used.clear();
+  // Only the captured lights that count are evaluated for the views.
   LightWeights weights;
   weights.first_entry = static_cast<std::uint32_t>(out.entries.size());
+  std::size_t used = 0;
   for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(list.count()); ++i) {
-    const Rgb w{stack[i], stack[pad + i], stack[2 * pad + i]};
-    if (w != Rgb{}) out.entries.push_back({i, w});
-    if (model[i] == 0 && model[pad + i] == 0 && model[2 * pad + i] == 0) continue;
-    const std::size_t to = used.size();
-    used.push_back(i);
-    block.list_x[to] = block.list_x[i], block.list_y[to] = block.list_y[i], block.list_z[to] = block.list_z[i];
-    for (int c = 0; c < 3; ++c) model[c * pad + to] = model[c * pad + i];
+    const float* const amount = block.amounts[i].of;
+    const Rgb photograph{amount[0], amount[1], amount[2]}, model{amount[4], amount[5], amount[6]};
+    if (photograph != Rgb{}) out.entries.push_back({i, photograph});
+    if (model == Rgb{}) continue;
+    use_light(used, block.captured[i]);
+    for (int c = 0; c < 3; ++c) block.used_amount[c][used] = model[c];
+    ++used;
   }
-  double list_share = 0;
+  // What lies beyond, up to the kernel's width, has amount 0.
+  for (std::size_t i = used; i < padded(used); ++i) use[0][i] = use[1][i] = 0, use[2][i] = 1;
   for (const ChosenView& chosen : hit.query.chosen) {
-    if (list_of_view_[chosen.view] != list_index) continue;
-    list_share += chosen.weight;
-    if (used.empty()) continue;
-    const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(look_up.p).raw());
-    modelTerms(hit.reflectance, view,
-               {block.list_x.data(), block.list_y.data(), block.list_z.data(), static_cast<int>(used.size())}, terms);
-    for (int c = 0; c < 3; ++c)
-      for (int t = 0; t < kModelTerms; ++t) {
-        double sum = 0;
-        for (std::size_t i = 0; i < used.size(); ++i) sum += model[c * pad + i] * terms[t][i];
-        color[c] -= chosen.weight * hit.reflectance.coefficient[t][c] * sum;
-      }
+    if (list_of_view_[chosen.view] != list_index || used == 0) continue;
+    const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(p).raw());
+    modelTerms(hit.reflectance, view, {use[0], use[1], use[2], static_cast<int>(used)}, terms);
+    for (int t = 0; t < kModelTerms; ++t)
+      for (int c = 0; c < 3; ++c)
+        color[c] -=
+            chosen.weight * coefficient(t, c) * sumOfProducts(block.used_amount[c].data(), terms[t], padded(used));
   }
-  for (int c = 0; c < 3; ++c)
-    for (int t = 0; t < kModelTerms; ++t) color[c] += list_share * hit.reflectance.coefficient[t][c] * direct[t][c];
   return out.append(weights, list.count());
 }
 

@@ -49,12 +49,25 @@ struct GuidedBlock {
   std::vector<float> x, y, z, visible;
   std::vector<Vec3> near_irradiance;  ///< of each hit and near light
 
+  /// A captured light as one hit sees it.
+  struct Captured {
+    float x = 0, y = 0, z = 0;  ///< direction to it
+    float lit = 0;              ///< share of the hit's points that it lights
+    float facing = 0;           ///< 0 where it stands too low over the surface to tell anything, 1 where it does not
+    float usable = 0;  ///< whether it may stand for a light that lights the point: lit, also around, and facing
+    float inverse_cosine = 0;
+    float disagree = 0;  ///< how far photographs and rays differ on `lit`
+  };
+  /// What a captured light is multiplied by: [r g b -] of the photographs, [r g b -] of the model's value of them.
+  struct Amount {
+    float of[8] = {};
+  };
   // Memory of one hit.
+  std::vector<Captured> captured;
+  std::vector<Amount> amounts;              ///< of each captured light
+  std::array<std::vector<float>, 3> reach;  ///< of each light of the frame: irradiance that counts
   std::array<std::vector<float>, kModelTerms> terms;
-  std::vector<float> list_x, list_y, list_z;                         ///< directions to a list's lights
-  std::vector<float> lit, disagree, facing, usable, inverse_cosine;  ///< of each of them, at the hit
-  std::vector<float> stack_weights, model_weights;                   ///< 3 x pad: what S and M of each is multiplied by
-  std::vector<std::uint32_t> used;
+  std::array<std::vector<float>, 3> used_direction, used_amount;  ///< of the captured lights that the residual uses
   std::vector<Penalised> order;
   std::vector<Weighted> weights;
   std::vector<LightShare> shares;
@@ -87,7 +100,11 @@ class GuidedLighting {
   std::size_t rowLength() const { return row_; }
   void blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const;
   void castShadows(GuidedBlock& block) const;
-  void readBits(const AcquiredLights& list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
+  void readCaptured(const AcquiredLights& list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
+  /// Spreads the lights of the frame over captured ones: fills block.amounts and block.reach.
+  void spread(GuidedBlock& block, std::size_t index, std::uint32_t list) const;
+  std::span<const LightShare> standIns(GuidedBlock& block, std::size_t index, std::size_t light,
+                                       std::uint32_t list) const;
 
   const ReflectanceFit& fit_;
   const FrameLighting& lighting_;
