@@ -8,9 +8,10 @@
 #include <numeric>
 
 #include "apps/program.h"
+#include "base/numeric.h"
 #include "base/parallel.h"
 #include "bench/timing.h"
-#include "render/frame_renderer.h"
+#include "render/animation.h"
 #include "render/scene.h"
 
 namespace srf {
@@ -78,6 +79,53 @@ class BareEmbree {
   std::vector<RTCRay16> packets_;
 };
 
+// Occlusion rays from the model's points, in the order of the points, to directions all over the sphere.
+class BareShadows {
+ public:
+  BareShadows(const DeformedModel& deformed, std::size_t rays) : deformed_(deformed), blocked_(rays) {
+    const auto& points = deformed.positions();
+    const double golden = kPi * (3 - std::sqrt(5.0));
+    for (std::size_t i = 0; i < rays; ++i) {
+      // 32 rays from a point to lights of one hemisphere, as a hit casts them.
+      const std::size_t point = i / 32 * 32 * 7919 % points.size(), light = i % 32;
+      const Direction<ObjectSpace> n = *normalize(points[point] - Point<ObjectSpace>(Vec3{1e-9, 0, 0}));
+      const double z = 1 - (light + 0.5) / 32, r = std::sqrt(1 - z * z);
+      const Direction<ObjectSpace> u = anyPerpendicular(n);
+      const Vec3 d =
+          z * n.raw() + r * std::cos(golden * light) * u.raw() + r * std::sin(golden * light) * cross(n, u).raw();
+      rays_.push_back({points[point] + 1e-3 * deformed.bounds().diameter() * n, Direction<ObjectSpace>::fromUnit(d)});
+    }
+  }
+  void trace() const {
+    parallelFor(rays_.size(), 8192, [&](std::size_t begin, std::size_t end) {
+      const std::vector<double> far(end - begin, std::numeric_limits<double>::infinity());
+      deformed_.rays().occluded(std::span(rays_).subspan(begin, end - begin), far, 0,
+                                std::span(blocked_).subspan(begin, end - begin));
+    });
+  }
+
+ private:
+  const DeformedModel& deformed_;
+  std::vector<Ray<ObjectSpace>> rays_;
+  mutable std::vector<std::uint8_t> blocked_;
+};
+
+// The model's terms for so many pairs of a light and a view, 64 lights at a time.
+void bareModelValues(std::size_t count) {
+  parallelFor((count + 63) / 64, 256, [&](std::size_t begin, std::size_t end) {
+    std::array<std::vector<float>, 3> lights;
+    for (auto& axis : lights) axis.assign(64, 0.577f);
+    std::array<std::vector<float>, kModelTerms> terms;
+    std::array<float*, kModelTerms> to;
+    for (int t = 0; t < kModelTerms; ++t) terms[t].resize(64), to[t] = terms[t].data();
+    PointReflectance point;
+    for (std::size_t i = begin; i < end; ++i) {
+      point.alpha_x = 0.1f + 1e-6f * static_cast<float>(i % 1000);
+      modelTerms(point, {0.6f, 0, 0.8f}, {lights[0].data(), lights[1].data(), lights[2].data(), 64}, to);
+    }
+  });
+}
+
 // Streams `taps` texels of 3 x `lights` halves from `texels` (wrapping around) against one weight vector.
 float bareDot(const std::vector<std::uint16_t>& texels, std::size_t lights, std::size_t begin, std::size_t end,
               const std::vector<float>& weights) {
@@ -121,11 +169,8 @@ int main(int argc, char** argv) {
     const SrfManifest manifest = readManifest(srf_folder);
     const DeformableModel model = loadModel(srf_folder, manifest);
     const LightSet light_set(scene, manifest, reporter);
-    FrameSettings settings;
-    settings.accuracy = scene.accuracy;
-    settings.samples = scene.samples;
-    settings.memory_bytes = program.memoryBudget();
-    FrameRenderer renderer(srf_folder, manifest, model, settings, reporter);
+    const std::optional<ReflectanceFit> fit = guidingFit(scene, srf_folder, manifest, model);
+    FrameRenderer renderer(srf_folder, manifest, model, frameSettings(scene, fit, program.memoryBudget()), reporter);
     DeformedModel deformed(model);
 
     const auto frame_at = [&](int i) { return scene.frames[static_cast<std::size_t>(i) % scene.frames.size()]; };
@@ -138,10 +183,10 @@ int main(int argc, char** argv) {
       render(frame_at(static_cast<int>(i)), unused);  // warm: blocks decoded
 
     std::map<std::string, bench::Series> stages;
-    bench::Series whole, embree, dot, read;
+    bench::Series whole, embree, dot, read, occlusion, model_values;
     std::map<std::string, double> before = reporter.figures();
     std::map<std::string, std::uint64_t> counted = reporter.counters();
-    double operations = 0, hits = 0;
+    double operations = 0, hits = 0, shadow_rays = 0, values = 0;
     std::vector<std::uint16_t> texels(64 << 20);
     for (std::size_t i = 0; i < texels.size(); ++i) texels[i] = static_cast<std::uint16_t>(0x3000 + i % 512);
     const std::size_t lights = manifest.views.empty() ? 16 : (manifest.views[0].lights.size() + 15) / 16 * 16;
@@ -167,6 +212,13 @@ int main(int argc, char** argv) {
         bare.trace();
         embree.add(bench::milliseconds([&] { bare.trace(); }));
       }
+      shadow_rays += taken("shadow_rays") / repeats, values += taken("model_values") / repeats;
+      if (const auto rays = static_cast<std::size_t>(taken("shadow_rays"))) {
+        const BareShadows bare(deformed, rays);
+        occlusion.add(bench::milliseconds([&] { bare.trace(); }));
+        model_values.add(
+            bench::milliseconds([&] { bareModelValues(static_cast<std::size_t>(taken("model_values"))); }));
+      }
       const std::size_t taps = static_cast<std::size_t>(4 * taken("operations"));
       counted = counters;
       dot.add(bench::milliseconds([&] {
@@ -191,6 +243,8 @@ int main(int argc, char** argv) {
         "%.0f operations a frame; %d frames after a warm-up; milliseconds as median (least .. most).\n\n",
         bench::processorName().c_str(), threadCount(), camera.lens.width, camera.lens.height, model.size(),
         model.triangles.size(), manifest.views.size(), manifest.lights.size(), hits, operations, repeats);
+    if (values > 0)
+      std::printf("Guided by the fit: %.0f shadow rays and %.0f values of the model a frame.\n\n", shadow_rays, values);
     std::printf("| stage | ms | limit on this machine, same run | ratio |\n|---|---|---|---|\n");
     for (const auto& [name, series] : stages) {
       std::string limit = "", ratio = "";
@@ -202,6 +256,8 @@ int main(int argc, char** argv) {
         ratio = text;
       };
       if (name == "trace") against(embree, "bare Embree loop");
+      if (name == "shadows") against(occlusion, "bare occlusion loop");
+      if (name == "weights") against(model_values, "bare model values");
       if (name == "execute") against(dot, "bare dot kernel");
       std::printf("| %s | %s | %s | %s |\n", name.c_str(), bench::shown(series).c_str(), limit.c_str(), ratio.c_str());
     }

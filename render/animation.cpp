@@ -88,9 +88,10 @@ fs::path fieldOf(const Scene& scene, const AnimationOptions& options) {
   return srf;
 }
 
-/// The fit that guides the scene's interpolation, where there is one to.
-std::optional<ReflectanceFit> fitFor(const Scene& scene, const fs::path& srf, const SrfManifest& manifest,
-                                     const DeformableModel& model) {
+}  // namespace
+
+std::optional<ReflectanceFit> guidingFit(const Scene& scene, const fs::path& srf, const SrfManifest& manifest,
+                                         const DeformableModel& model) {
   if (scene.interpolation == Interpolation::plain) return std::nullopt;
   std::optional<ReflectanceFit> fit = loadFit(srf, manifest, model);
   if (!fit && scene.interpolation == Interpolation::guided)
@@ -104,8 +105,7 @@ std::optional<ReflectanceFit> fitFor(const Scene& scene, const fs::path& srf, co
   return fit;
 }
 
-FrameSettings frameSettings(const Scene& scene, const std::optional<ReflectanceFit>& fit,
-                            const AnimationOptions& options) {
+FrameSettings frameSettings(const Scene& scene, const std::optional<ReflectanceFit>& fit, std::size_t memory_bytes) {
   FrameSettings settings;
   settings.accuracy = scene.accuracy;
   settings.fit = fit ? &*fit : nullptr;
@@ -113,11 +113,9 @@ FrameSettings frameSettings(const Scene& scene, const std::optional<ReflectanceF
   if (scene.shadows == Shadows::automatic)
     settings.shadows = scene.deformation.none() ? Shadows::captured : Shadows::deformed;
   settings.samples = scene.samples;
-  settings.memory_bytes = options.memory_bytes;
+  settings.memory_bytes = memory_bytes;
   return settings;
 }
-
-}  // namespace
 
 std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOptions& options, Reporter& reporter) {
   const fs::path srf = fieldOf(scene, options);
@@ -132,7 +130,7 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
   // Everything that can be wrong is found before the first frame.
   const SrfManifest manifest = readManifest(srf);
   const DeformableModel model = loadModel(srf, manifest);
-  const std::optional<ReflectanceFit> fit = fitFor(scene, srf, manifest, model);
+  const std::optional<ReflectanceFit> fit = guidingFit(scene, srf, manifest, model);
   const LightSet light_set(scene, manifest, reporter);
   const auto vertex_motion = scene.deformation.movesVertices()
                                  ? scene.deformation.vertexMotion(model.restMesh(), scene.fps, reporter)
@@ -147,7 +145,7 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
 
   const Attributes common = commonAttributes(scene, manifest, srf, layers);
   DeformedModel deformed(model);
-  FrameSettings settings = frameSettings(scene, fit, options);
+  FrameSettings settings = frameSettings(scene, fit, options.memory_bytes);
   settings.layers = layers;
   std::optional<FrameRenderer> renderer;  // opened with the first frame that is not kept
   bool moved = false;
@@ -210,8 +208,8 @@ ExplainedFrame explainPixel(const Scene& scene, const AnimationOptions& options,
   if (scene.deformation.movesVertices())
     vertices = scene.deformation.vertexMotion(result.model.restMesh(), scene.fps, reporter)->at(frame);
   deformed.deform(scene.deformation.at(frame), vertices ? &*vertices : nullptr);
-  const std::optional<ReflectanceFit> fit = fitFor(scene, srf, result.field, result.model);
-  FrameRenderer renderer(srf, result.field, result.model, frameSettings(scene, fit, options), reporter);
+  const std::optional<ReflectanceFit> fit = guidingFit(scene, srf, result.field, result.model);
+  FrameRenderer renderer(srf, result.field, result.model, frameSettings(scene, fit, options.memory_bytes), reporter);
   result.pixel = renderer.explain(camera, deformed, result.lights, x, y);
   result.positions = deformed.positions();
   result.tangents = deformed.tangents();

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -26,6 +27,13 @@ struct RenderedFrame {
   double seconds = 0;
   bool kept = false;  ///< found finished by --resume
 };
+
+/// The active model's fit, where it guides the scene's interpolation. Throws bad_input where the scene asks for what
+/// only a fit can give and there is none.
+std::optional<ReflectanceFit> guidingFit(const Scene& scene, const std::filesystem::path& srf,
+                                         const SrfManifest& manifest, const DeformableModel& model);
+/// What the scene asks of a frame; `fit` must outlive what is made with it.
+FrameSettings frameSettings(const Scene& scene, const std::optional<ReflectanceFit>& fit, std::size_t memory_bytes);
 
 /// Renders the scene's frames; each appears when it is whole. Throws bad_input before anything is rendered where scene
 /// and field do not fit (e.g. other lights than `captured` on a field of unknown illumination).

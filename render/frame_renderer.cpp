@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 #include "base/check.h"
 #include "base/numeric.h"
@@ -209,13 +210,18 @@ std::vector<LightEntry> nonzero(const float* vector, int count) {
   return entries;
 }
 
+/// What a block of pixels goes through before its operations are executed.
+enum GatherStage { kTrace, kLookUp, kViews, kShadows, kWeights, kSort };
+constexpr std::array<const char*, 6> kGatherStages{"trace", "look_up", "views", "shadows", "weights", "sort"};
+
 /// One block of pixels on its way.
 struct PixelBlock {
   ShadingBatch shading;
   std::vector<std::uint32_t> pixel;           ///< of each target
   std::vector<std::array<double, 3>> guided;  ///< of each target: what the model gives and takes; empty: plain
   std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
-  double seconds_trace = 0, seconds_look_up = 0, seconds_views = 0, seconds_weights = 0, seconds_sort = 0;
+  std::uint64_t shadow_rays = 0, model_values = 0;
+  std::array<double, kGatherStages.size()> seconds{};  ///< of each of them
 
   std::size_t bytes() const {
     return shading.operations.capacity() * (sizeof(ShadingOperation) + sizeof(Rgb)) + shading.lights.bytes() +
@@ -388,14 +394,14 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
   const std::vector<Ray<ObjectSpace>>& rays = in.rays;
   const std::vector<std::uint32_t>& pixels = in.pixel;
   auto clock = Clock::now();
-  const auto lap = [&](double& stage) {
+  const auto lap = [&](GatherStage stage) {
     const auto now = Clock::now();
-    stage += std::chrono::duration<double>(now - clock).count();
+    out.seconds[stage] += std::chrono::duration<double>(now - clock).count();
     clock = now;
   };
   std::vector<SurfaceHit> hits(rays.size());
   deformed.intersect(rays, hits);  // M10
-  lap(out.seconds_trace);
+  lap(kTrace);
 
   std::vector<std::size_t> met;
   std::vector<LookUp> look_ups;
@@ -405,7 +411,7 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
       look_ups.push_back(lookUp(hits[i], settings.accuracy.frame));  // M11
       out.collapsed += look_ups.back().collapsed;
     }
-  lap(out.seconds_look_up);
+  lap(kLookUp);
 
   ViewSelection::Scratch scratch;
   std::vector<ChosenView> chosen, all_chosen;                    // of the hit, of all of them
@@ -450,7 +456,7 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
     if (explained) explained->push_back({rays[met[m]], hit, look_up, view, seen, chosen, {}, {}, {}});
   }
   out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
-  lap(out.seconds_views);
+  lap(kViews);
 
   GuidedBlock guided_block;
   if (guided) {
@@ -462,6 +468,7 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
     }
     guided->prepare(queries, guided_block);
     out.guided.resize(met.size());
+    lap(kShadows);
   }
   for (const auto& [m, list] : wanted) {  // M13, M14
     const LookUp& look_up = look_ups[m];
@@ -475,9 +482,11 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
                     out.shading.lights);
   }
   out.shading.lights.known = {};
-  lap(out.seconds_weights);
+  out.shadow_rays = guided_block.shadow_rays;
+  out.model_values = guided_block.model_values;
+  lap(kWeights);
   sortOperations(out.shading);
-  lap(out.seconds_sort);
+  lap(kSort);
 }
 
 FrameRenderer::FrameRenderer(const std::filesystem::path& srf_folder, const SrfManifest& manifest,
@@ -527,23 +536,16 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
                    raysOfBlock(camera, pattern, next + static_cast<int>(i)), batch[first + i],
                    layers.wanted() ? &layers : nullptr, nullptr);
       });
-      double trace = 0, look_up = 0, views = 0, weights = 0, sort = 0;
+      std::array<double, kGatherStages.size()> spent{};
       for (std::size_t i = first; i < batch.size(); ++i) {
         bytes += batch[i].bytes();
         s.shared.want(batch[i].shading.lights.wanted, lighting);
-        trace += batch[i].seconds_trace;
-        look_up += batch[i].seconds_look_up;
-        views += batch[i].seconds_views;
-        weights += batch[i].seconds_weights;
-        sort += batch[i].seconds_sort;
+        for (std::size_t stage = 0; stage < spent.size(); ++stage) spent[stage] += batch[i].seconds[stage];
       }
       // The threads worked on all of these at once: each stage's part of the time that passed.
-      const double passed = secondsSince(clock), all = std::max(trace + look_up + views + weights + sort, 1e-12);
-      s.seconds["trace"] += passed * trace / all;
-      s.seconds["look_up"] += passed * look_up / all;
-      s.seconds["views"] += passed * views / all;
-      s.seconds["weights"] += passed * weights / all;
-      s.seconds["sort"] += passed * sort / all;
+      const double passed = secondsSince(clock), all = std::accumulate(spent.begin(), spent.end(), 1e-12);
+      for (std::size_t stage = 0; stage < spent.size(); ++stage)
+        if (spent[stage] > 0) s.seconds[kGatherStages[stage]] += passed * spent[stage] / all;
       clock = Clock::now();
       next += count;
     }
@@ -570,7 +572,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       }
     });
     lap("resolve");
-    std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
+    std::uint64_t collapsed = 0, not_seen = 0, no_view = 0, shadow_rays = 0, model_values = 0;
     for (std::size_t b = 0; b < batch.size(); ++b) {
       hit_count += shading[b].targets;
       operation_count += shading[b].operations.size();
@@ -578,10 +580,14 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       collapsed += batch[b].collapsed;
       not_seen += batch[b].not_seen;
       no_view += batch[b].no_view;
+      shadow_rays += batch[b].shadow_rays;
+      model_values += batch[b].model_values;
     }
     if (collapsed) s.reporter.count("frame.collapsed", collapsed);
     if (not_seen) s.reporter.count("hits.no_visible_view", not_seen);
     if (no_view) s.reporter.count("hits.no_view", no_view);
+    if (shadow_rays) s.reporter.count("shadow_rays", shadow_rays);
+    if (model_values) s.reporter.count("model_values", model_values);
   }
 
   Frame frame;

@@ -182,6 +182,7 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
     for (std::size_t i = 0; i < most; ++i) ask(brightest[i].second, std::numeric_limits<double>::infinity());
   }
   std::vector<std::uint8_t> blocked(rays.size(), 0);
+  block.shadow_rays += rays.size();
   occluders_.rays().occluded(rays, far_distances, 0, blocked);
   for (std::size_t i = 0; i < asked.size(); ++i) block.visible[asked[i]] = blocked[i] ? 0.f : 1.f;
 }
@@ -312,6 +313,7 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
              {block.x.data() + index * row_, block.y.data() + index * row_, block.z.data() + index * row_,
               static_cast<int>(row_)},
              terms);
+  block.model_values += row_;
   for (int t = 0; t < kModelTerms; ++t)
     for (int c = 0; c < 3; ++c)
       color[c] += list_share * coefficient(t, c) * sumOfProducts(block.reach[c].data(), terms[t], row_);
@@ -360,6 +362,7 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
     if (list_of_view_[chosen.view] != list_index || used == 0) continue;
     const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(p).raw());
     modelTerms(hit.reflectance, view, {use[0], use[1], use[2], static_cast<int>(used)}, terms);
+    block.model_values += padded(used);
     for (int t = 0; t < kModelTerms; ++t)
       for (int c = 0; c < 3; ++c)
         color[c] -=

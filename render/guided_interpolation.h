@@ -47,7 +47,8 @@ struct GuidedBlock {
   /// Of each hit and light of the frame (distant, then near; a row of GuidedLighting::rowLength()): direction in
   /// acquisition space; irradiance on a plane facing it; how much of it reaches the point, below 0: not asked by a ray.
   std::vector<float> x, y, z, visible;
-  std::vector<Vec3> near_irradiance;  ///< of each hit and near light
+  std::vector<Vec3> near_irradiance;                ///< of each hit and near light
+  std::uint64_t shadow_rays = 0, model_values = 0;  ///< cast, and evaluated (one for each light and view), so far
 
   /// A captured light as one hit sees it.
   struct Captured {
