@@ -6,10 +6,36 @@
 
 #include "base/numeric.h"
 #include "base/parallel.h"
-#include "render/cube_cells.h"
 
 namespace srf {
 namespace {
+
+struct CubeCell {
+  int face, x, y;
+};
+
+CubeCell cubeCell(const Vec3& d, int resolution) {
+  const double ax = std::fabs(d.x), ay = std::fabs(d.y), az = std::fabs(d.z);
+  const double half = 0.5 * resolution;
+  const auto cell = [&](int axis, double major, double s, double t) {
+    const double scale = half / std::fabs(major);
+    const auto index = [&](double x) { return std::clamp(static_cast<int>(x * scale + half), 0, resolution - 1); };
+    return CubeCell{2 * axis + (major < 0 ? 1 : 0), index(s), index(t)};
+  };
+  if (ax >= ay && ax >= az) return cell(0, d.x, d.y, d.z);
+  if (ay >= az) return cell(1, d.y, d.z, d.x);
+  return cell(2, d.z, d.x, d.y);
+}
+
+/// Unit vector at face coordinates (s, t) in [-1, 1].
+Vec3 cubeDirection(int face, double s, double t) {
+  const int axis = face / 2;
+  Vec3 d;
+  d[axis] = face % 2 ? -1 : 1;
+  d[(axis + 1) % 3] = s;
+  d[(axis + 2) % 3] = t;
+  return d / length(d);
+}
 
 double inverseOrZero(double x) {
   return x > 0 && std::isfinite(x) ? 1 / x : 0;
@@ -79,7 +105,8 @@ std::optional<std::uint32_t> AcquiredLights::find(LightId light) const {
 }
 
 std::span<const std::uint32_t> AcquiredLights::cell(const Vec3& direction) const {
-  const std::size_t c = cubeCell(direction, resolution_).index(resolution_);
+  const CubeCell at = cubeCell(direction, resolution_);
+  const std::size_t c = (static_cast<std::size_t>(at.face) * resolution_ + at.y) * resolution_ + at.x;
   return {candidates_.data() + begin_[c], candidates_.data() + begin_[c + 1]};
 }
 

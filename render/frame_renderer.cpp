@@ -273,7 +273,7 @@ struct FrameRenderer::State {
   std::optional<ViewSelection> selection;
   std::optional<BlockCache> cache;
   std::optional<DeferredShading> shading;
-  std::vector<std::optional<NeighbourTable>> tables, no_tables;  ///< of each list, for guided interpolation
+  SharedStandIns stand_ins;
   std::optional<DeformedModel> rest;  ///< what casts captured shadows, once guided interpolation asks for them
   SharedLightVectors shared;
   std::map<std::string, double> seconds;  ///< by stage, over all frames
@@ -374,16 +374,9 @@ std::optional<GuidedLighting> FrameRenderer::State::guidedLighting(const Deforme
   guide.shadow_rays = settings.accuracy.shadow_rays;
   guide.min_distance = lighting.options().min_distance;
   guide.model_alone = settings.model_alone;
-  // Few lights cost little without a table.
-  tables.resize(lists.size());
-  no_tables.resize(lists.size());
-  const double sharing = settings.accuracy.light_sharing;
-  const bool many = sharing > 0 && lighting.lights().distant.size() >= FrameLighting::kFewestShared;
-  for (std::size_t i = 0; i < lists.size(); ++i)
-    if (many && !tables[i] && lists[i].distant() && lists[i].relightable()) tables[i].emplace(lists[i], sharing);
-  return std::optional<GuidedLighting>(std::in_place, *settings.fit, lighting,
-                                       many ? std::span<const std::optional<NeighbourTable>>(tables) : no_tables,
-                                       at_rest ? *rest : deformed, selection->views(), list_of_view, guide);
+  stand_ins.prepare(lighting, settings.memory_bytes / 8);
+  return std::optional<GuidedLighting>(std::in_place, *settings.fit, lighting, stand_ins, at_rest ? *rest : deformed,
+                                       selection->views(), list_of_view, guide);
 }
 
 void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const DeformedModel& deformed,

@@ -56,20 +56,25 @@ float share(const VisibilityBits& bits, const SurfaceHit& hit, std::uint32_t col
 
 }  // namespace
 
-GuidedLighting::GuidedLighting(const ReflectanceFit& fit, const FrameLighting& lighting,
-                               std::span<const std::optional<NeighbourTable>> tables, const DeformedModel& occluders,
-                               std::span<const SourceView> views, std::span<const std::uint32_t> list_of_view,
-                               const Options& options)
+GuidedLighting::GuidedLighting(const ReflectanceFit& fit, const FrameLighting& lighting, SharedStandIns& stand_ins,
+                               const DeformedModel& occluders, std::span<const SourceView> views,
+                               std::span<const std::uint32_t> list_of_view, const Options& options)
     : fit_(fit),
       lighting_(lighting),
-      tables_(tables),
+      stand_ins_(stand_ins),
       occluders_(occluders),
       views_(views),
       list_of_view_(list_of_view),
       options_(options),
       row_(padded(lighting.lights().distant.size() + lighting.lights().near_lights.size())),
       offset_(std::max(kRayOffset * occluders.model().bounds().diameter(), occluders.model().positional_error)),
-      corrected_(fit.lit.words() != fit.lit_by_rays.words()) {}
+      corrected_(fit.lit.words() != fit.lit_by_rays.words()) {
+  for (const DistantLight& light : lighting.lights().distant)
+    for (int c = 0; c < 3; ++c) {
+      irradiance_[c].push_back(static_cast<float>(light.irradiance[c]));
+      direction_[c].push_back(static_cast<float>(light.direction.raw()[c]));
+    }
+}
 
 void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const {
   hit.query = query;
@@ -120,7 +125,13 @@ void GuidedLighting::prepare(std::span<const GuidedQuery> queries, GuidedBlock& 
       const std::array<float, 3> l = floats((look_up.acquisition_from_object * light).raw());
       block.x[h * row_ + k] = l[0], block.y[h * row_ + k] = l[1], block.z[h * row_ + k] = l[2];
     };
-    for (std::size_t k = 0; k < distant_count; ++k) put(k, lights.distant[k].direction);
+    const Mat3& m = look_up.acquisition_from_object.raw();
+    float* const to[3] = {block.x.data() + h * row_, block.y.data() + h * row_, block.z.data() + h * row_};
+    for (int r = 0; r < 3; ++r) {
+      const std::array<float, 3> row = floats({m.row[r][0], m.row[r][1], m.row[r][2]});
+      for (std::size_t k = 0; k < distant_count; ++k)
+        to[r][k] = dot3(row, direction_[0][k], direction_[1][k], direction_[2][k]);
+    }
     for (std::size_t k = 0; k < near_count; ++k) {  // Eq. 11: A(|p* - p_l|) I_l
       const Vector<ObjectSpace> to_light = lights.near_lights[k].position - queries[h].hit->p_star;
       const double d = std::max(length(to_light), options_.min_distance);
@@ -172,8 +183,8 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
       } else if (k >= distant_count) {
         ask(k, kShortOfLight * distance(lights.near_lights[k - distant_count].position, hit.query.hit->p_star));
       } else {
-        const Vec3& e = lights.distant[k].irradiance;
-        brightest.emplace_back(-cosine(k) * static_cast<float>(e.x + e.y + e.z), k);
+        const float energy = irradiance_[0][k] + irradiance_[1][k] + irradiance_[2][k];
+        brightest.emplace_back(-cosine(k) * energy, k);
       }
     }
     const auto most = std::min(brightest.size(), static_cast<std::size_t>(options_.shadow_rays));
@@ -209,31 +220,15 @@ void GuidedLighting::readCaptured(const AcquiredLights& list, GuidedBlock& block
   }
 }
 
-/// The captured lights that stand for one light of the frame (M13).
-std::span<const LightShare> GuidedLighting::standIns(GuidedBlock& block, std::size_t index, std::size_t light,
-                                                     std::uint32_t list) const {
-  const std::size_t at = index * row_ + light, distant_count = lighting_.lights().distant.size();
-  const Vec3 rounded{block.x[at], block.y[at], block.z[at]};
-  if (light < distant_count && tables_[list]) return tables_[list]->at(rounded);
-  const LookUp& look_up = *block.hits[index].query.look_up;
-  const Direction<AcquisitionSpace> direction =
-      light < distant_count ? look_up.acquisition_from_object * lighting_.lights().distant[light].direction
-                            : normalize(Vector<AcquisitionSpace>(rounded)).value_or(look_up.normal);
-  lighting_.lists()[list].nearest(direction, look_up.p, block.order, block.weights);
-  block.shares.clear();
-  for (const Weighted& w : block.weights) block.shares.push_back({w.source, static_cast<float>(w.weight)});
-  return block.shares;
-}
-
-void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t list) const {
+void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t list_index, std::size_t first) const {
   const GuidedBlock::Hit& hit = block.hits[index];
   const FrameLights& lights = lighting_.lights();
   const std::size_t distant_count = lights.distant.size(), near_count = lights.near_lights.size();
   const float gate = options_.model_alone ? 1 : hit.gate;
   const bool off = options_.shadows == Shadows::off;
-  block.amounts.assign(lighting_.lists()[list].count(), {});
-  for (auto& channel : block.reach) channel.assign(row_, 0);
-  for (std::size_t k = 0; k < distant_count + near_count; ++k) {
+  const AcquiredLights& list = lighting_.lists()[list_index];
+  const LookUp& look_up = *hit.query.look_up;
+  for (std::size_t k = first; k < distant_count + near_count; ++k) {
     const std::size_t at = index * row_ + k;
     const float x = block.x[at], y = block.y[at], z = block.z[at];
     const float cosine = dot3(hit.reflectance.normal, x, y, z);
@@ -242,12 +237,16 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
     const std::array<float, 3> e =
         floats(k < distant_count ? lights.distant[k].irradiance
                                  : block.near_irradiance[index * near_count + k - distant_count]);
-    const std::span<const LightShare> shares = standIns(block, index, k, list);
+    const Direction<AcquisitionSpace> direction =
+        k < distant_count ? look_up.acquisition_from_object * lights.distant[k].direction
+                          : normalize(Vector<AcquisitionSpace>(Vec3{x, y, z})).value_or(look_up.normal);
+    list.nearest(direction, look_up.p, block.order, block.weights);
     // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
     // the nearest is.
     float lit = 0, facing = 0, usable = 0, disagree = 0, nearest = 4;
-    for (const auto& [i, w] : shares) {
+    for (const auto& [i, weight] : block.weights) {
       const GuidedBlock::Captured& light = block.captured[i];
+      const auto w = static_cast<float>(weight);
       lit += w * light.facing * light.lit;
       facing += w * light.facing;
       usable += w * light.usable;
@@ -259,7 +258,8 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
     float visible = asked < 0 ? captured : asked;
     if (disagree > 0 && !off) {
       visible *= 1 - disagree;
-      for (const auto& [i, w] : shares) visible += w * block.captured[i].disagree * block.captured[i].lit;
+      for (const auto& [i, weight] : block.weights)
+        visible += static_cast<float>(weight) * block.captured[i].disagree * block.captured[i].lit;
     }
     const float nearness = nearest < kNotNear * kNotNear ? 1 - smoothstepf(kNear, kNotNear, std::sqrt(nearest)) : 0;
     const float as_is = off ? 0 : hit.indirect + (1 - hit.indirect) * nearness;
@@ -268,14 +268,89 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
     if (options_.model_alone) continue;
 
     const float relit = usable > 0 && cosine > 0 ? (1 - as_is) * visible * smoothstepf(0, kFade, usable) / usable : 0;
-    for (const auto& [i, w] : shares) {
+    for (const auto& [i, weight] : block.weights) {
       const GuidedBlock::Captured& light = block.captured[i];
+      const auto w = static_cast<float>(weight);
       const float ratio = std::min(kMostRatio, cosine * light.inverse_cosine);
       const float from_lit = w * gate * relit * light.usable * ratio, from_all = w * gate * as_is;
       const float photograph = from_lit + from_all + w * (1 - gate), model = from_lit + from_all * light.lit;
       float* const amount = block.amounts[i].of;
       for (int c = 0; c < 3; ++c) amount[c] += photograph * e[c];
       for (int c = 0; c < 3; ++c) amount[4 + c] += model * e[c];
+    }
+  }
+}
+
+void GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list_index) const {
+  const GuidedBlock::Hit& hit = block.hits[index];
+  const AcquiredLights& list = lighting_.lists()[list_index];
+  const std::size_t count = list.count(), pad = lightPad(list.count()), distant = lighting_.lights().distant.size();
+  const float gate = options_.model_alone ? 1 : hit.gate;
+  const bool off = options_.shadows == Shadows::off;
+
+  const OrientationGrid::Blend blend = lighting_.sharedCorners(hit.query.look_up->acquisition_from_object);
+  std::array<const float*, 4> vectors{};
+  const SharedStandIns::Corner* nearest = nullptr;  // of the corner that counts most
+  float most = 0;
+  for (int i = 0; i < 4; ++i) {
+    if (!(blend.share[i] > 0)) continue;
+    const SharedStandIns::Corner& corner = stand_ins_.at({list_index, blend.corner[i]}, lighting_);
+    vectors[i] = corner.weights.data();
+    if (blend.share[i] > most) most = blend.share[i], nearest = &corner;
+  }
+  for (auto& vector : vectors)
+    if (!vector) vector = nearest->weights.data();  // its share is 0
+  block.shared.assign(3 * pad, 0);
+  addBlend(block.shared.data(), blend.share, vectors, static_cast<int>(3 * pad));
+
+  // What reaches the surface of each light, and of what lies about each captured one.
+  block.toward.assign(2 * count, 0);  // energy shown, energy in all
+  float* const shown_about = block.toward.data();
+  float* const all_about = shown_about + count;
+  double reaching = 0;
+  for (std::size_t k = 0; k < distant; ++k) {
+    const std::size_t at = index * row_ + k;
+    const float cosine = dot3(hit.reflectance.normal, block.x[at], block.y[at], block.z[at]);
+    if (!(cosine > 0)) continue;
+    const std::uint32_t i = nearest->nearest[k];
+    const GuidedBlock::Captured& about = block.captured[i];
+    const float asked = block.visible[at];
+    float visible = asked < 0 ? about.facing > 0 ? about.lit : 1 : asked;
+    if (!off) visible += about.disagree * (about.lit - visible);
+    float energy = 0;
+    for (int c = 0; c < 3; ++c) {
+      block.reach[c][k] = gate * visible * irradiance_[c][k];
+      energy += irradiance_[c][k];
+    }
+    shown_about[i] += visible * energy;
+    all_about[i] += energy;
+    reaching += visible * energy;
+  }
+  if (options_.model_alone) return;
+
+  // The lit residual: of each captured light as much as of the light about it is shown; together what reaches the
+  // surface.
+  double standing = 0;
+  block.amount_lit.assign(count, 0);
+  const auto irradiance = [&](std::uint32_t i, int c) {
+    const double inverse = list.inverseIrradiance(i, hit.query.look_up->p)[c];
+    return inverse > 0 ? static_cast<float>(1 / inverse) : 0.f;
+  };
+  for (const std::uint32_t i : list.usable()) {
+    const float shown = all_about[i] > 0 ? shown_about[i] / all_about[i] : 1;
+    block.amount_lit[i] = block.captured[i].usable * shown;
+    for (int c = 0; c < 3; ++c) standing += block.amount_lit[i] * block.shared[c * pad + i] * irradiance(i, c);
+  }
+  const float indirect = off ? 0 : hit.indirect;
+  const float scale =
+      standing > 0 ? gate * (1 - indirect) * static_cast<float>(std::min<double>(kMostRatio, reaching / standing)) : 0;
+  for (const std::uint32_t i : list.usable()) {
+    const float from_lit = scale * block.amount_lit[i], from_all = gate * indirect;
+    float* const amount = block.amounts[i].of;
+    for (int c = 0; c < 3; ++c) {
+      const float e = block.shared[c * pad + i] * irradiance(i, c);
+      amount[c] += (from_lit + from_all + 1 - gate) * e;
+      amount[4 + c] += (from_lit + from_all * block.captured[i].lit) * e;
     }
   }
 }
@@ -303,7 +378,11 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   const auto coefficient = [&](int t, int c) { return double{hit.reflectance.coefficient[t][c]}; };
 
   readCaptured(list, block, hit);
-  spread(block, index, list_index);
+  block.amounts.assign(list.count(), {});
+  for (auto& channel : block.reach) channel.assign(row_, 0);
+  const bool shares = lighting_.shares(list_index);
+  if (shares) spreadShared(block, index, list_index);
+  spread(block, index, list_index, shares ? lighting_.lights().distant.size() : 0);
   double list_share = 0;
   for (const ChosenView& chosen : hit.query.chosen)
     if (list_of_view_[chosen.view] == list_index) list_share += chosen.weight;

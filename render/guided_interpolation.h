@@ -21,8 +21,8 @@
 #include "model/reflectance_fit.h"
 #include "render/light_weights.h"
 #include "render/look_up.h"
-#include "render/neighbour_table.h"
 #include "render/scene.h"
+#include "render/shared_stand_ins.h"
 #include "render/view_selection.h"
 
 namespace srf {
@@ -44,7 +44,7 @@ struct GuidedBlock {
     std::array<float, 3> view{};  ///< v
   };
   std::vector<Hit> hits;
-  /// Of each hit and light of the frame (distant, then near; a row of GuidedLighting::rowLength()): direction in
+  /// Of each hit and light of the frame (distant, then near; a row of GuidedLighting): direction in
   /// acquisition space; irradiance on a plane facing it; how much of it reaches the point, below 0: not asked by a ray.
   std::vector<float> x, y, z, visible;
   std::vector<Vec3> near_irradiance;                ///< of each hit and near light
@@ -71,7 +71,8 @@ struct GuidedBlock {
   std::array<std::vector<float>, 3> used_direction, used_amount;  ///< of the captured lights that the residual uses
   std::vector<Penalised> order;
   std::vector<Weighted> weights;
-  std::vector<LightShare> shares;
+  std::vector<float> shared, toward, amount_lit;  ///< a blend of shared vectors; sums by captured light
+  std::vector<std::pair<float, std::uint32_t>> brightest;
 };
 
 /// The lights of one frame, guided by the fit.
@@ -83,12 +84,11 @@ class GuidedLighting {
     double min_distance = 0;   ///< units: least distance of a point light in A(d)
     bool model_alone = false;  ///< no residual: what the model would show without the photographs
   };
-  /// Everything must outlive it. `tables`: of each list, where its weights for distant lights may be tabulated.
-  /// `occluders`: the model whose shadows fall, deformed or at rest.
-  GuidedLighting(const ReflectanceFit& fit, const FrameLighting& lighting,
-                 std::span<const std::optional<NeighbourTable>> tables, const DeformedModel& occluders,
-                 std::span<const SourceView> views, std::span<const std::uint32_t> list_of_view,
-                 const Options& options);
+  /// Everything must outlive it. `stand_ins`: prepared for the frame. `occluders`: the model whose shadows fall,
+  /// deformed or at rest.
+  GuidedLighting(const ReflectanceFit& fit, const FrameLighting& lighting, SharedStandIns& stand_ins,
+                 const DeformedModel& occluders, std::span<const SourceView> views,
+                 std::span<const std::uint32_t> list_of_view, const Options& options);
 
   /// Blends the fit at the hits and casts their shadow rays.
   void prepare(std::span<const GuidedQuery> queries, GuidedBlock& block) const;
@@ -98,25 +98,26 @@ class GuidedLighting {
                        std::array<double, 3>& color) const;
 
  private:
-  std::size_t rowLength() const { return row_; }
   void blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const;
   void castShadows(GuidedBlock& block) const;
   void readCaptured(const AcquiredLights& list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
-  /// Spreads the lights of the frame over captured ones: fills block.amounts and block.reach.
-  void spread(GuidedBlock& block, std::size_t index, std::uint32_t list) const;
-  std::span<const LightShare> standIns(GuidedBlock& block, std::size_t index, std::size_t light,
-                                       std::uint32_t list) const;
+  /// Spreads lights of the frame, from `first` on, over captured ones, each by itself: adds to block.amounts, fills
+  /// block.reach.
+  void spread(GuidedBlock& block, std::size_t index, std::uint32_t list, std::size_t first) const;
+  /// The same for all distant lights at once, by weights that hits of like orientation share.
+  void spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list) const;
 
   const ReflectanceFit& fit_;
   const FrameLighting& lighting_;
-  std::span<const std::optional<NeighbourTable>> tables_;
+  SharedStandIns& stand_ins_;
   const DeformedModel& occluders_;
   std::span<const SourceView> views_;
   std::span<const std::uint32_t> list_of_view_;
   Options options_;
-  std::size_t row_;  ///< lights of the frame, padded for the kernel
-  double offset_;    ///< of shadow rays along the normal, units
-  bool corrected_;   ///< photographs overruled the rays' bits somewhere
+  std::array<std::vector<float>, 3> irradiance_, direction_;  ///< of each distant light, object space
+  std::size_t row_;                                           ///< lights of the frame, padded for the kernel
+  double offset_;                                             ///< of shadow rays along the normal, units
+  bool corrected_;                                            ///< photographs overruled the rays' bits somewhere
 };
 
 }  // namespace srf

@@ -90,9 +90,14 @@ void FrameLighting::standIn(const AcquiredLights& list, const Direction<Acquisit
     add(light.source, light.weight * (irradiance * list.inverseIrradiance(light.source, p)));
 }
 
+OrientationGrid::Blend FrameLighting::sharedCorners(
+    const Orthogonal<AcquisitionSpace, ObjectSpace>& acquisition_from_object) const {
+  if (options_.only_orientation) return {{kOnlyOrientation}, {1}};
+  return grid_->blend(acquisition_from_object);
+}
+
 void FrameLighting::noteShared(std::uint32_t list, const LitPoint& point, LightGather& out, LightWeights& w) const {
-  OrientationGrid::Blend blend{{kOnlyOrientation}, {1}};
-  if (!options_.only_orientation) blend = grid_->blend(point.acquisition_from_object);
+  const OrientationGrid::Blend blend = sharedCorners(point.acquisition_from_object);
   // Neighbouring hits mostly want the same vectors: ask the last ones before the table.
   const LightWeights* last = out.weights.empty() ? nullptr : &out.weights.back();
   for (int i = 0; i < 4; ++i) {
@@ -140,7 +145,7 @@ std::uint32_t FrameLighting::gather(std::uint32_t list_index, const LitPoint& po
   return out.append(w, list.count());
 }
 
-void FrameLighting::computeShared(const SharedKey& key, float* vector) const {
+void FrameLighting::computeShared(const SharedKey& key, float* vector, std::uint32_t* nearest_of) const {
   const AcquiredLights& list = lists_[key.list];
   const int pad = lightPad(list.count());
   std::fill_n(vector, 3 * pad, 0.f);
@@ -148,11 +153,13 @@ void FrameLighting::computeShared(const SharedKey& key, float* vector) const {
       key.corner == kOnlyOrientation ? *options_.only_orientation : grid_->orientation(key.corner);
   std::vector<Penalised> scratch;
   std::vector<Weighted> nearest;
-  for (const DistantLight& light : lights_.distant)
+  for (const DistantLight& light : lights_.distant) {
     standIn(list, acquisition_from_object * light.direction, light.irradiance, Point<AcquisitionSpace>(), scratch,
             nearest, [&](std::uint32_t i, const Vec3& weight) {
               for (int c = 0; c < 3; ++c) vector[c * pad + i] += static_cast<float>(weight[c]);
             });
+    if (nearest_of) *nearest_of++ = nearest.front().source;  // by falling weight
+  }
 }
 
 void SharedLightVectors::prepare(const FrameLighting& lighting) {

@@ -98,8 +98,13 @@ class FrameLighting {
   /// Appends the weights of a list at a hit and returns their handle. What depends on the hit alone is computed here;
   /// of the shared vectors only the keys are noted.
   std::uint32_t gather(std::uint32_t list, const LitPoint& point, LightGather& out) const;
-  /// Computes a shared vector: 3 * pad floats, exact for the corner's orientation.
-  void computeShared(const SharedKey& key, float* vector) const;
+  /// Whether hits share the vectors of the list's distant lights.
+  bool shares(std::uint32_t list) const;
+  /// The corners of orientation whose shared vectors, blended, hold for an L. Where shares() is true.
+  OrientationGrid::Blend sharedCorners(const Orthogonal<AcquisitionSpace, ObjectSpace>& acquisition_from_object) const;
+  /// Computes a shared vector: 3 * pad floats, exact for the corner's orientation. `nearest`: where not null, of each
+  /// distant light the captured one that counts most.
+  void computeShared(const SharedKey& key, float* vector, std::uint32_t* nearest = nullptr) const;
   /// Whether shared vectors of `other` hold for this frame too.
   bool sharesLike(const std::vector<DistantLight>& distant,
                   const std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>>& only_orientation) const;
@@ -109,7 +114,6 @@ class FrameLighting {
   std::span<const AcquiredLights> lists() const { return lists_; }
 
  private:
-  bool shares(std::uint32_t list) const;
   /// Calls add(light, weight) for the lights of the list that stand for light of `irradiance` from `direction` at p.
   template <class Add>
   void standIn(const AcquiredLights& list, const Direction<AcquisitionSpace>& direction, const Vec3& irradiance,

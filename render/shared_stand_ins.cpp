@@ -1,0 +1,30 @@
+#include "render/shared_stand_ins.h"
+
+#include <mutex>
+
+namespace srf {
+
+void SharedStandIns::prepare(const FrameLighting& lighting, std::size_t most_bytes) {
+  if (bytes_ <= most_bytes && lighting.sharesLike(distant_, only_orientation_)) return;
+  corners_.clear();
+  bytes_ = 0;
+  distant_ = lighting.lights().distant;
+  only_orientation_ = lighting.options().only_orientation;
+}
+
+const SharedStandIns::Corner& SharedStandIns::at(const SharedKey& key, const FrameLighting& lighting) {
+  {
+    const std::shared_lock lock(mutex_);
+    if (const auto found = corners_.find(key); found != corners_.end()) return *found->second;
+  }
+  auto corner = std::make_unique<Corner>();
+  corner->weights.resize(3 * static_cast<std::size_t>(lightPad(lighting.lists()[key.list].count())));
+  corner->nearest.resize(lighting.lights().distant.size());
+  lighting.computeShared(key, corner->weights.data(), corner->nearest.data());
+  const std::unique_lock lock(mutex_);
+  const auto [entry, added] = corners_.try_emplace(key, std::move(corner));  // another thread may have been first
+  if (added) bytes_ += 4 * (entry->second->weights.size() + entry->second->nearest.size()) + 128;
+  return *entry->second;
+}
+
+}  // namespace srf
