@@ -6,6 +6,7 @@
 #include "acquire/acquire_field.h"
 #include "acquire/camera_import.h"
 #include "apps/contact_sheet.h"
+#include "apps/frame_lines.h"
 #include "apps/make_model.h"
 #include "apps/program.h"
 #include "apps/report.h"
@@ -22,6 +23,7 @@ namespace {
 
 struct PipelineOptions {
   std::string capture, scene, output, kind = "mesh", shape = "hull", fit = "auto", frames;
+  int tolerance = 0;
   std::vector<std::string> overrides;
   std::string command;
   std::size_t memory_bytes = 0;
@@ -149,10 +151,11 @@ void runPipeline(const PipelineOptions& options, Reporter& reporter) {
   Journal journal(out / "pipeline.json", reporter);
 
   // Acquire the reflectance field 110: silhouettes, hull 111, reflectance images 112.
-  const std::string capture_stamp = captureStamp(capture, out);
+  const std::string capture_stamp = captureStamp(capture, out) + " " + std::to_string(options.tolerance);
   journal.step("acquire", capture_stamp, fs::exists(field_folder / "manifest.json"), [&] {
     AcquireOptions acquire;
     acquire.memory_bytes = options.memory_bytes;
+    acquire.hull.tolerance = options.tolerance;
     acquire.command = options.command;
     acquireField(capture, field_folder, acquire, reporter);
   });
@@ -177,6 +180,7 @@ void runPipeline(const PipelineOptions& options, Reporter& reporter) {
   animation.resume = true;
   animation.memory_bytes = options.memory_bytes;
   animation.command = options.command;
+  animation.finished = FrameLines(reporter);
   const std::vector<RenderedFrame> frames = renderAnimation(scene, animation, reporter);
 
   // What people look at.
@@ -239,6 +243,9 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--fit", options.fit, "auto: a reflectance model that guides interpolation is fitted; off")
       ->check(CLI::IsMember({"auto", "off"}))
+      ->capture_default_str();
+  app.add_option("--tolerance", options.tolerance, "views that may disagree at a point without carving it away")
+      ->check(CLI::Range(0, 1000))
       ->capture_default_str();
   app.add_option("--frames", options.frames, "frames instead of the scene's, e.g. 0-10");
   app.add_option("--set", options.overrides, "/json/pointer=value: changes the scene; may be repeated")

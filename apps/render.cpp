@@ -1,6 +1,7 @@
 // `srf render`: a scene to frames.
 #include <cstdio>
 
+#include "apps/frame_lines.h"
 #include "apps/program.h"
 #include "render/animation.h"
 
@@ -26,17 +27,11 @@ int main(int argc, char** argv) {
     options.command = program.commandLine();
     if (!frames.empty()) options.frames = parseFrames(frames, "--frames");
     const Scene scene = readScene(scene_file, overrides, reporter);
+    options.finished = FrameLines(reporter);
     double seconds = 0;
     std::size_t rendered = 0;
-    for (const RenderedFrame& frame : renderAnimation(scene, options, reporter)) {
-      if (frame.kept) {
-        std::printf("%s  kept\n", frame.file.c_str());
-        continue;
-      }
-      std::printf("%s  %.3f s\n", frame.file.c_str(), frame.seconds);
-      seconds += frame.seconds;
-      ++rendered;
-    }
+    for (const RenderedFrame& frame : renderAnimation(scene, options, reporter))
+      if (!frame.kept) seconds += frame.seconds, ++rendered;
     if (rendered > 1) std::printf("%zu frames, %.3f s each\n", rendered, seconds / static_cast<double>(rendered));
   });
 }

@@ -75,6 +75,13 @@ struct Camera {
   double pixelFootprint(double depth) const { return lens.isOrthographic() ? 1 / lens.fl_x : depth / lens.fl_x; }
 };
 
+/// The same camera in object space, which coincides with acquisition space where nothing is deformed.
+inline Camera<ObjectSpace> atRest(const Camera<AcquisitionSpace>& camera) {
+  return {
+      camera.lens,
+      {Orthogonal<ObjectSpace, CameraSpace>(camera.pose.rotation().raw()), Point<ObjectSpace>(camera.center().raw())}};
+}
+
 /// Pose of a camera at `eye` that looks at `target`, with `up` upwards in the picture. Nothing where the three are
 /// degenerate.
 template <class Space>

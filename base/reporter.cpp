@@ -33,7 +33,9 @@ std::string jsonText(const std::string& text) {
   return out + "\"";
 }
 
-std::string clock(double seconds) {
+}  // namespace
+
+std::string clockText(double seconds) {
   char text[32];
   const long s = static_cast<long>(seconds + 0.5);
   if (s < 3600)
@@ -42,8 +44,6 @@ std::string clock(double seconds) {
     std::snprintf(text, sizeof text, "%ld:%02ld:%02ld", s / 3600, s / 60 % 60, s % 60);
   return text;
 }
-
-}  // namespace
 
 Reporter::Reporter(ProgressMode progress, LogLevel level) : progress_(progress), level_(level) {
   if (progress_ == ProgressMode::automatic) progress_ = ::isatty(2) ? ProgressMode::tty : ProgressMode::none;
@@ -89,8 +89,8 @@ void Reporter::show(const std::string& stage, std::uint64_t done, std::uint64_t 
   const double eta = done > 0 && done < steps ? seconds * (1 / share - 1) : 0;
   switch (progress_) {
     case ProgressMode::tty:
-      std::fprintf(stderr, "\r\033[K%-24s %3.0f %%  %s", stage.c_str(), 100 * share, clock(seconds).c_str());
-      if (!last && eta > 0) std::fprintf(stderr, "  ETA %s", clock(eta).c_str());
+      std::fprintf(stderr, "\r\033[K%-24s %3.0f %%  %s", stage.c_str(), 100 * share, clockText(seconds).c_str());
+      if (!last && eta > 0) std::fprintf(stderr, "  ETA %s", clockText(eta).c_str());
       if (last) std::fputc('\n', stderr);
       line_open_ = !last;
       break;
@@ -108,10 +108,21 @@ void Reporter::show(const std::string& stage, std::uint64_t done, std::uint64_t 
   std::fflush(stderr);
 }
 
-void Reporter::log(LogLevel level, const std::string& text) {
-  if (level > level_) return;
+void Reporter::clearLine() {
   if (line_open_) std::fputs("\r\033[K", stderr);
   line_open_ = false;
+}
+
+void Reporter::result(const std::string& text) {
+  const std::lock_guard lock(mutex_);
+  clearLine();
+  std::fprintf(stdout, "%s\n", text.c_str());
+  std::fflush(stdout);
+}
+
+void Reporter::log(LogLevel level, const std::string& text) {
+  if (level > level_) return;
+  clearLine();
   static constexpr const char* kNames[] = {"error", "warning", "info", "debug"};
   std::fprintf(stderr, "%s: %s\n", kNames[static_cast<int>(level)], text.c_str());
 }

@@ -46,6 +46,8 @@ class Reporter {
     std::chrono::steady_clock::time_point start_;
   };
 
+  /// A line of the program's result, on stdout at once; a line of progress on the terminal makes room for it.
+  void result(const std::string& text);
   void warn(const std::string& text);
   void info(const std::string& text);
   void debug(const std::string& text);
@@ -67,6 +69,7 @@ class Reporter {
  private:
   void show(const std::string& stage, std::uint64_t done, std::uint64_t steps, double seconds, bool last);
   void log(LogLevel level, const std::string& text);
+  void clearLine();
 
   ProgressMode progress_;
   LogLevel level_;
@@ -78,6 +81,8 @@ class Reporter {
   std::map<std::string, std::uint64_t> counters_;
   std::map<std::string, double> figures_;
 };
+
+std::string clockText(double seconds);  ///< "m:ss" or "h:mm:ss"
 
 /// Ctrl-C: the first sets a flag that long loops look at (Stage::advance, throwIfInterrupted); the second ends the
 /// program at once.

@@ -109,11 +109,7 @@ int main(int argc, char** argv) {
     double sums[3] = {}, flips[3] = {};
     std::printf("| view | interpolated, dB / FLIP | nearest photograph | average of four |\n|---|---|---|---|\n");
     for (const std::size_t view : held_out) {
-      Camera<ObjectSpace> camera;
-      camera.lens = all.views[view].camera.lens;
-      camera.pose = Rigid<ObjectSpace, CameraSpace>(
-          Orthogonal<ObjectSpace, CameraSpace>(all.views[view].camera.pose.rotation().raw()),
-          Point<ObjectSpace>(all.views[view].camera.center().raw()));
+      const Camera<ObjectSpace> camera = atRest(all.views[view].camera);
       const Frame frame = renderer.render(camera, deformed, lights);
       const Image8& silhouette_mask = masks[view].mask;
       ImageF mask(camera.lens.width, camera.lens.height, 1), rendered(camera.lens.width, camera.lens.height, 3);

@@ -76,6 +76,7 @@ void countPoints(const DeformedStatistics& statistics, int frame, Reporter& repo
   reporter.count("points.mirrored", statistics.mirrored);
   reporter.count("points.collapsed", statistics.collapsed);
   reporter.count("points.not_finite", statistics.not_finite);
+  reporter.count("points.unsure_handedness", statistics.unsure_handedness);
   if (statistics.not_finite > 0)
     reporter.warn("frame " + std::to_string(frame) + ": the deformation sends " +
                   std::to_string(statistics.not_finite) +
@@ -168,6 +169,7 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
       if (!moved || !scene.deformation.constant()) {
         deformed.deform(scene.deformation.at(number), vertices ? &*vertices : nullptr);
         countPoints(deformed.statistics(), number, reporter);
+        // M8: the sign comes from the volume of each closed part. One frame of the motion says it for all.
         if (const std::size_t unsure = deformed.statistics().unsure_handedness; unsure > 0 && !moved)
           reporter.warn("the mesh that moves is open in parts: nothing tells whether " + std::to_string(unsure) +
                         " of its vertices are mirrored, and they are taken not to be");
@@ -185,6 +187,7 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
     }
     result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     rendered.push_back(result);
+    if (options.finished) options.finished(result, numbers.size() - rendered.size());
     stage.advance();
   }
   return rendered;

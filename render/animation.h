@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -11,6 +12,13 @@
 
 namespace srf {
 
+struct RenderedFrame {
+  int frame = 0;
+  std::filesystem::path file;
+  double seconds = 0;
+  bool kept = false;  ///< found finished by --resume
+};
+
 struct AnimationOptions {
   std::filesystem::path srf;        ///< the field; overrides the scene's
   std::string output;               ///< pattern of the frames; overrides the scene's
@@ -19,13 +27,8 @@ struct AnimationOptions {
   bool resume = false;              ///< keep frames whose header carries the same settings and input hashes
   std::size_t memory_bytes = std::size_t{1} << 30;
   std::string command;  ///< for the frames' headers
-};
-
-struct RenderedFrame {
-  int frame = 0;
-  std::filesystem::path file;
-  double seconds = 0;
-  bool kept = false;  ///< found finished by --resume
+  /// Called with each frame as it is finished, and with how many are left.
+  std::function<void(const RenderedFrame&, std::size_t left)> finished;
 };
 
 /// The active model's fit, where it guides the scene's interpolation. Throws bad_input where the scene asks for what

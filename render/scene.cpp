@@ -59,10 +59,7 @@ SceneCamera readCamera(const JsonNode& node, const std::filesystem::path& folder
     if (const auto vfov = node.find("vfov"))
       throw vfov->error("belongs to look_at; give fl_x and fl_y beside a transform_matrix");
     // The file's camera stands in object space; the reader's type speaks of a capture's.
-    const auto pose = readPose(node["transform_matrix"]);
-    return Camera<ObjectSpace>{
-        readLens({node}),
-        {Orthogonal<ObjectSpace, CameraSpace>(pose.rotation().raw()), Point<ObjectSpace>(pose.origin().raw())}};
+    return atRest({readLens({node}), readPose(node["transform_matrix"])});
   }
   node.onlyKeys({"w", "h", "vfov", "look_at"});
   LookAtCamera camera;

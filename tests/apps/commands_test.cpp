@@ -425,6 +425,9 @@ TEST(Render, InterruptEndsWithWholeFramesAndResumeKeepsTheirBits) {
   process.signal(SIGINT);
   const Outcome outcome = process.wait();
   expectMessage(outcome, 130, {"interrupted"});
+  // What was finished had been told by then, with the time that the others would have taken.
+  EXPECT_NE(outcome.out.find("f.0000.exr"), std::string::npos) << outcome.out;
+  EXPECT_NE(outcome.out.find("199 to go, ETA "), std::string::npos) << outcome.out;
 
   const Words names = listing(folder.path());
   ASSERT_GE(names.size(), 2u);
@@ -520,6 +523,18 @@ TEST(Pipeline, MakesFieldFramesSheetAndReportAndThenOnlyWhatIsLeft) {
   surfels.insert(surfels.end(), {"--kind", "surfels"});
   ASSERT_EQ(run(surfels).code, 0);
   EXPECT_NE(slurp(folder / "out/report.html").find("surfels"), std::string::npos);
+}
+
+TEST(Pipeline, ToleranceLetsAWrongViewBeOverruledAndCarvesAgain) {
+  test::TemporaryFolder folder;
+  const auto hullVolume = [&](const std::string& tolerance) {
+    const Outcome outcome = run({"pipeline", sample().capture, "--scene", sample().scene, "-o", folder / "out",
+                                 "--frames", "0", "--tolerance", tolerance, "--stats", folder / "stats.json"});
+    EXPECT_EQ(outcome.code, 0) << outcome.err;
+    return readJsonFile(folder / "stats.json").raw()["figures"]["hull.volume"].get<double>();
+  };
+  const double strict = hullVolume("0");
+  EXPECT_GT(hullVolume("1"), 1.01 * strict);  // the largest shape that all but any one view allow
 }
 
 // ---- Papers --------------------------------------------------------------------------------------------------------

@@ -123,11 +123,7 @@ TEST(Radiometry, CapturedViewAndLightAreReproduced) {
     const auto field = test::makeSphereField(folder / (near ? "n.srf" : "d.srf"), options, glossyFormula);
     for (const int view : {2, 11}) {
       const auto& captured = field.manifest.views[view].camera;
-      Camera<ObjectSpace> camera;
-      camera.lens = captured.lens;
-      camera.pose =
-          Rigid<ObjectSpace, CameraSpace>(Orthogonal<ObjectSpace, CameraSpace>(captured.pose.rotation().raw()),
-                                          Point<ObjectSpace>(captured.center().raw()));
+      const Camera<ObjectSpace> camera = atRest(captured);
       const CaptureLight& light = field.manifest.lights[7];
       FrameLights lights;
       if (near)

@@ -7,6 +7,7 @@
 #include "base/error.h"
 #include "base/files.h"
 #include "base/image_io.h"
+#include "base/mesh_io.h"
 #include "tests/support/formula_field.h"
 #include "tests/support/test_support.h"
 
@@ -152,6 +153,29 @@ TEST_F(AnimationTest, ValuesBeyondHalfFloatsAreClampedAndCounted) {
   EXPECT_GT(reporter_.counters().at("pixels.clamped"), 50u);
   ASSERT_EQ(reporter_.warnings().size(), 1u);
   EXPECT_NE(reporter_.warnings()[0].find("65504"), std::string::npos);
+}
+
+TEST_F(AnimationTest, EachFrameIsToldAsItIsFinished) {
+  std::vector<std::pair<int, std::size_t>> told;
+  options_.finished = [&](const RenderedFrame& frame, std::size_t left) {
+    EXPECT_TRUE(fs::exists(frame.file));
+    EXPECT_FALSE(fs::exists(folder_ / "out" / "f.0003.exr") && left > 0);
+    told.emplace_back(frame.frame, left);
+  };
+  render();
+  EXPECT_EQ(told, (std::vector<std::pair<int, std::size_t>>{{1, 2}, {2, 1}, {3, 0}}));
+}
+
+TEST_F(AnimationTest, OpenPartsThatASequenceMovesAreWarnedOfOnce) {
+  const SrfManifest manifest = readManifest(folder_ / "x.srf");
+  DeformableModel model = loadModel(folder_ / "x.srf", manifest);
+  model.triangles.pop_back();
+  storeModel(folder_ / "x.srf", model, "sphere");
+  for (const int frame : {1, 2, 3}) writePly(folder_ / frameFile("walk.####.ply", frame), model.restMesh());
+  render({R"(/deformation=[{"type":"sequence","file":"walk.####.ply"}])"});
+  ASSERT_EQ(reporter_.warnings().size(), 1u);
+  EXPECT_NE(reporter_.warnings()[0].find("mirrored"), std::string::npos);
+  EXPECT_EQ(reporter_.counters().at("points.unsure_handedness"), 3 * model.size());
 }
 
 TEST_F(AnimationTest, MirroredPointsAreCounted) {

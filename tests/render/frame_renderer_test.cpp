@@ -229,10 +229,7 @@ TEST_F(FrameRendererTest, AnExplainedPixelIsTheRenderedOneToTheBit) {
 
 TEST_F(FrameRendererTest, ACapturedViewUnderACapturedLightIsReproduced) {
   const StoredView& view = field_->manifest.views[3];
-  Camera<ObjectSpace> same;
-  same.lens = view.camera.lens;
-  same.pose = Rigid<ObjectSpace, CameraSpace>(Orthogonal<ObjectSpace, CameraSpace>(view.camera.pose.rotation().raw()),
-                                              Point<ObjectSpace>(view.camera.center().raw()));
+  const Camera<ObjectSpace> same = atRest(view.camera);
   FrameLights lit;
   lit.distant.push_back({Direction<ObjectSpace>::fromUnit(field_->manifest.lights[10].direction.raw()), {1, 1, 1}});
   DeformedModel deformed(field_->model);
