@@ -129,6 +129,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", nargs="+", type=pathlib.Path)
     parser.add_argument("--vertices", type=int, default=12, help="spread over the mesh; 0: all")
+    parser.add_argument("--at-keys", action="store_true", help="at 20 of the keys instead: for tools/blender/sample_assets.py")
     options = parser.parse_args()
     print("# Positions of vertices of the Khronos glTF sample assets, computed by tools/gltf_reference.py.")
     print("# Fox: PixelMannen (CC0), rig tomkranis (CC-BY 4.0). CesiumMan, RiggedSimple: Cesium (CC-BY 4.0).")
@@ -139,7 +140,11 @@ def main():
         for animation in file.json["animations"]:
             keys = np.concatenate([file.accessor(s["input"])[:, 0] for s in animation["samplers"]])
             span = keys.max() - keys.min()
-            for t in np.linspace(keys.min() - 0.02 * span, keys.max() + 0.02 * span, 20):
+            times = np.linspace(keys.min() - 0.02 * span, keys.max() + 0.02 * span, 20)
+            if options.at_keys:
+                keys = np.unique(keys)
+                times = keys[np.unique(np.linspace(0, len(keys) - 1, 20).astype(int))]
+            for t in times:
                 t = float(np.float32(t))
                 p = posed(file, animation, t)
                 count = len(p) if options.vertices == 0 else min(options.vertices, len(p))
