@@ -540,7 +540,7 @@ TEST(Pipeline, ToleranceLetsAWrongViewBeOverruledAndCarvesAgain) {
 // ---- Papers --------------------------------------------------------------------------------------------------------
 
 TEST(PatentMap, NamesTestsThatExist) {
-  const fs::path root = SRF_SOURCE_DIR;
+  const fs::path root = test::sourceFolder();
   std::string tests;
   for (const auto& entry : fs::recursive_directory_iterator(root / "tests"))
     if (entry.path().extension() == ".cpp") tests += slurp(entry.path());

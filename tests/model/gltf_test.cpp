@@ -47,7 +47,7 @@ double apart(const Vec3& a, const Vec3& b) {
 TEST(Gltf, SampleAssetsMoveAsAnIndependentReaderComputes) {
   SRF_REQUIRE_DATA(data, "animated");
   const char* full = std::getenv("SRF_GLTF_REFERENCE");
-  std::ifstream table(full ? full : SRF_SOURCE_DIR "/tests/model/gltf_reference.csv");
+  std::ifstream table(full ? std::filesystem::path(full) : test::sourceFolder() / "tests/model/gltf_reference.csv");
   std::string line;
   std::map<std::string, Gltf> files;
   std::string posed_key;

@@ -17,10 +17,14 @@ TemporaryFolder::~TemporaryFolder() {
   std::filesystem::remove_all(path_, code);
 }
 
+std::filesystem::path sourceFolder() {
+  return SRF_SOURCE_DIR;
+}
+
 std::optional<std::filesystem::path> sharedData(const std::string& name) {
   const char* set = std::getenv("SRF_DATA");
   const std::filesystem::path root =
-      set ? std::filesystem::path(set) : std::filesystem::path(SRF_SOURCE_DIR) / ".." / "shared" / "data";
+      set ? std::filesystem::path(set) : sourceFolder() / ".." / "shared" / "data";
   std::error_code code;
   const auto path = std::filesystem::weakly_canonical(root / name, code);
   if (code || !std::filesystem::exists(path)) return std::nullopt;

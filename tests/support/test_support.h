@@ -21,6 +21,8 @@ class TemporaryFolder {
   std::filesystem::path path_;
 };
 
+/// The checkout that the tests were built from.
+std::filesystem::path sourceFolder();
 /// `SRF_DATA`/name, or shared/data/name beside the checkout; nothing where it is absent: the test then says 'skipped'.
 std::optional<std::filesystem::path> sharedData(const std::string& name);
 
