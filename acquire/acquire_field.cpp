@@ -135,7 +135,7 @@ SrfManifest acquireField(const Capture& capture, const fs::path& out, const Acqu
       photo_count +=
           std::count_if(view.photos.begin(), view.photos.end(), [](const Photo& p) { return p.light.has_value(); });
     Reporter::Stage stage(reporter, "register views", photo_count);
-    const RegistrationOptions registration{options.compress, options.memory_bytes / threadCount()};
+    const RegistrationOptions registration{options.coding, options.memory_bytes / threadCount()};
     parallelFor(capture.views.size(), 1, [&](std::size_t i, std::size_t) {
       manifest.views[i] = registerView(capture, ViewId{static_cast<std::uint32_t>(i)}, masks[i].mask, folder,
                                        registration, stage, reporter);

@@ -6,6 +6,7 @@
 
 #include "acquire/silhouette.h"
 #include "acquire/visual_hull.h"
+#include "field/reflectance_store.h"
 #include "field/srf_folder.h"
 
 namespace srf {
@@ -14,7 +15,7 @@ struct AcquireOptions {
   SilhouetteOptions silhouette;
   HullOptions hull;
   bool make_hull = true;  ///< false where the model will come from another shape
-  bool compress = true;
+  StoreCoding coding;     ///< of the reflectance images
   std::size_t memory_bytes = std::size_t{1} << 30;
   std::string command;  ///< recorded in the manifest
 };

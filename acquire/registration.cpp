@@ -46,6 +46,7 @@ StoreGeometry geometryOf(const CaptureView& view, const Image8& mask, int light_
   g.tiles_x = (std::min(mask.width(), x1 + 1 + kMargin) - g.crop_x + kTile - 1) / kTile;
   g.tiles_y = (std::min(mask.height(), y1 + 1 + kMargin) - g.crop_y + kTile - 1) / kTile;
   g.light_count = light_count;
+  g.levels = g.mostLevels();
   return g;
 }
 
@@ -149,7 +150,7 @@ class Registration {
  private:
   // All that the store depends on goes into its name.
   std::string fileName() const {
-    std::string identity = "2";  // raise it when registration changes what it writes
+    std::string identity = "3";  // raise it when registration changes what it writes
     const auto add = [&](const auto& value) { identity.append(reinterpret_cast<const char*>(&value), sizeof value); };
     for (const Photo* photo : photos_) {
       std::error_code code;
@@ -163,9 +164,10 @@ class Registration {
     for (const double x : {c.fl_x, c.fl_y, c.cx, c.cy, c.skew, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2}) add(x);
     add(view_.camera.pose.rotation().raw());
     add(view_.camera.pose.origin().raw());
-    for (const int x : {static_cast<int>(c.model), c.width, c.height, static_cast<int>(options_.compress),
+    for (const int x : {static_cast<int>(c.model), c.width, c.height, static_cast<int>(options_.coding.compression),
                         static_cast<int>(capture_.integer_transfer), static_cast<int>(isSegmented(view_, mask_))})
       add(x);
+    if (options_.coding.compression == Compression::pca) add(options_.coding.error);
     const std::uint64_t seed = contentHash(mask_.data().data(), mask_.data().size());
     char number[16];
     std::snprintf(number, sizeof number, "%04u", id_.value);
@@ -278,7 +280,10 @@ class Registration {
     // As many rows of tiles at a time as fit; the photographs are read once for each such band.
     const std::size_t row_bytes = photos_.size() * kTile * geometry_.cropWidth() * 3 * sizeof(std::uint16_t);
     const std::size_t image_bytes = mask_.data().size() * 40;  // one photograph while it is read, and the sum
-    const std::size_t budget = options_.memory_bytes > image_bytes ? options_.memory_bytes - image_bytes : 0;
+    // Coarser levels of the store wait for their other half: a row of blocks over all levels, less than as wide as
+    // ours.
+    const std::size_t kept_bytes = image_bytes + row_bytes;
+    const std::size_t budget = options_.memory_bytes > kept_bytes ? options_.memory_bytes - kept_bytes : 0;
     const int band = static_cast<int>(std::clamp<std::size_t>(budget / row_bytes, 1, geometry_.tiles_y));
 
     std::vector<std::vector<std::uint16_t>> planes(photos_.size());
@@ -297,7 +302,7 @@ class Registration {
     geometry_.black_background = hasBlackBackground(sum_, mask_);
     sum_ = ImageF();
 
-    ReflectanceStoreWriter writer(file, geometry_, coverage_, options_.compress);
+    ReflectanceStoreWriter writer(file, geometry_, coverage_, options_.coding);
     for (int first = 0; first < geometry_.tiles_y; first += band) {
       const int last = std::min(first + band, geometry_.tiles_y);
       if (first > 0)

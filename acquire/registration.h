@@ -4,12 +4,13 @@
 #include <filesystem>
 
 #include "base/reporter.h"
+#include "field/reflectance_store.h"
 #include "field/srf_folder.h"
 
 namespace srf {
 
 struct RegistrationOptions {
-  bool compress = true;
+  StoreCoding coding;
   std::size_t memory_bytes = std::size_t{1}
                              << 28;  ///< for this view; photographs are read again where it does not suffice
 };

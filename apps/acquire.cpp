@@ -1,6 +1,7 @@
 // srf acquire: a capture to an SRF (patent, Fig. 1: acquisition).
 #include <algorithm>
 #include <cstdio>
+#include <map>
 
 #include "acquire/acquire_field.h"
 #include "acquire/camera_import.h"
@@ -45,7 +46,7 @@ int main(int argc, char** argv) {
   srf::AcquireOptions options;
   std::vector<double> bounds;
   double threshold = 0;
-  bool keep_outliers = false, no_hull = false, uncompressed = false;
+  bool keep_outliers = false, no_hull = false;
   CLI::App& app = program.app();
   app.add_option("capture", capture, "folder with a transforms.json, a Middlebury *_par.txt or a COLMAP model")
       ->required()
@@ -67,11 +68,21 @@ int main(int argc, char** argv) {
                      "values above this (0 to 1, as encoded in the file) are the object where no mask tells")
           ->check(CLI::Range(0.0, 1.0));
   app.add_flag("--no-hull", no_hull, "carve no hull: the shape will come from elsewhere");
-  app.add_flag("--uncompressed", uncompressed, "store blocks as they are");
+  app.add_option(
+         "--compression", options.coding.compression,
+         "of the reflectance images: lossless; pca (principal components over the lights, several times smaller "
+         "and faster); none")
+      ->transform(CLI::CheckedTransformer(std::map<std::string, srf::Compression>{
+          {"none", srf::Compression::none}, {"lossless", srf::Compression::lossless}, {"pca", srf::Compression::pca}}))
+      ->default_str("lossless");
+  app.add_option("--compression-error", options.coding.error,
+                 "of pca: root mean square error of a block that is allowed, as a share of the block's own; noise is "
+                 "left out even where that makes more")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
   return program.run(argc, argv, [&](srf::Reporter& reporter) {
     options.hull.exclude_outliers = !keep_outliers;
     options.make_hull = !no_hull;
-    options.compress = !uncompressed;
     options.memory_bytes = program.memoryBudget();
     options.command = program.commandLine();
     if (threshold_option->count() > 0) options.silhouette.background_threshold = threshold;

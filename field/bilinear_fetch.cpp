@@ -7,15 +7,21 @@ namespace {
 
 // Least coverage of a texel (formats.md): pixels over black are premultiplied and only lose precision; others hold
 // background colour.
-constexpr int kLeastBlack = 128, kLeastOther = 250;
+constexpr int kLeastBlack = 128, kLeastOther = kWhollyCovered;
 
 }  // namespace
 
-Fetch bilinearFetch(const SourceView& view, const Vec2& pixel) {
+Fetch bilinearFetch(const SourceView& view, const Vec2& pixel, int level) {
   Fetch fetch;
-  const double u = pixel.x - 0.5 - view.geometry.crop_x, v = pixel.y - 0.5 - view.geometry.crop_y;
+  fetch.level = level;
+  const Coverage& covered = view.coverage[level];
+  double u = pixel.x - 0.5 - view.geometry.crop_x, v = pixel.y - 0.5 - view.geometry.crop_y;
+  if (level > 0) {
+    u = (u + 0.5) / (1 << level) - 0.5;
+    v = (v + 0.5) / (1 << level) - 0.5;
+  }
   // Off the rectangle, also far off (before the conversion to int).
-  if (!(u > -1 && v > -1 && u < view.geometry.cropWidth() && v < view.geometry.cropHeight())) return fetch;
+  if (!(u > -1 && v > -1 && u < covered.width() && v < covered.height())) return fetch;
   // The rounding of a projection must not make one texel two.
   const auto split = [](double at, int& cell) {
     const double nearest = std::floor(at + 0.5);
@@ -31,8 +37,8 @@ Fetch bilinearFetch(const SourceView& view, const Vec2& pixel) {
   bool used[4];
   for (int t = 0; t < 4; ++t) {
     const int x = fetch.x + t % 2, y = fetch.y + t / 2;
-    const bool inside = x >= 0 && y >= 0 && x < view.coverage->width() && y < view.coverage->height();
-    const int coverage = inside ? view.coverage->at(x, y) : 0;
+    const bool inside = x >= 0 && y >= 0 && x < covered.width() && y < covered.height();
+    const int coverage = inside ? covered.at(x, y) : 0;
     used[t] = bilinear[t] > 0 && coverage >= least;
     if (!used[t]) continue;
     fetch.covered += bilinear[t];

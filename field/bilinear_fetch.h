@@ -2,8 +2,8 @@
 #pragma once
 
 #include "base/camera.h"
-#include "base/image.h"
-#include "field/reflectance_store.h"
+#include "field/coverage.h"
+#include "field/store_geometry.h"
 
 namespace srf {
 
@@ -11,17 +11,19 @@ namespace srf {
 struct SourceView {
   Camera<AcquisitionSpace> camera;
   StoreGeometry geometry;
-  const Image8* coverage =
-      nullptr;                   ///< of the stored rectangle; none: the view holds no reflectance and is never chosen
+  /// Of each level of the stored rectangle; none: the view holds no reflectance and is never chosen.
+  const Coverage* coverage = nullptr;
   bool black_background = true;  ///< pixels are premultiplied by coverage
 };
 
 /// A mask-aware bilinear fetch (doc: formats, images): the 2 x 2 texels about a pixel and what each counts.
 struct Fetch {
-  int x = 0, y = 0;    ///< of the first texel in the stored rectangle; may be -1
+  int x = 0, y = 0;    ///< of the first texel in the stored rectangle, at its level; may be -1
   float tap[4] = {};   ///< bilinear weight / coverage, over the usable texels: (x,y), (x+1,y), (x,y+1), (x+1,y+1)
   double covered = 0;  ///< share of the bilinear weight that falls on usable texels; 0: nothing can be fetched
+  int level = 0;       ///< of the store
 };
-Fetch bilinearFetch(const SourceView& view, const Vec2& pixel);
+/// `pixel`: of the photograph, whatever the level.
+Fetch bilinearFetch(const SourceView& view, const Vec2& pixel, int level = 0);
 
 }  // namespace srf

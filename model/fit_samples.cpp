@@ -50,7 +50,7 @@ void spread(std::vector<std::pair<std::uint32_t, Vec3>>& views, const Vec3& norm
 }
 
 SourceView source(const StoredView& view, const ReflectanceStore& store) {
-  return {view.camera, store.geometry(), &store.coverage(), view.black_background};
+  return {view.camera, store.geometry(), store.coverages(), view.black_background};
 }
 
 void addScaled(const std::uint16_t* halves, float weight, float* sum, int count) {

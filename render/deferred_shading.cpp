@@ -1,11 +1,14 @@
 #include "render/deferred_shading.h"
 
 #include <algorithm>
+#include <atomic>
 #include <numeric>
+#include <optional>
 #include <unordered_map>
 
 #include "base/parallel.h"
 #include "base/reporter.h"
+#include "render/projected_weights.h"
 
 namespace srf {
 namespace {
@@ -100,23 +103,33 @@ void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder or
     operations += runs[r].end - runs[r].begin;
   }
 
-  const std::size_t grain = order == ExecutionOrder::sorted ? 4 : jobs.size();
-  parallelFor(jobs.size(), grain, [&](std::size_t first, std::size_t last) {
-    throwIfInterrupted();
+  // In the order of the plan, so that blocks are used as they come. Threads take the next job when they are free.
+  const bool sorted = order == ExecutionOrder::sorted;
+  if (sorted) {
+    std::vector<std::uint64_t> keys;
+    keys.reserve(jobs.size());
+    for (const Job& job : jobs) keys.push_back(runs[job.begin].key);
+    cache_.plan(keys);
+  }
+  std::atomic<std::size_t> next{0};
+  parallelFor(sorted ? static_cast<std::size_t>(threadCount()) : 1, 1, [&](std::size_t, std::size_t) {
     std::vector<float> scratch(3 * static_cast<std::size_t>(widest));
-    for (std::size_t j = first; j < last; ++j) {
+    for (std::size_t j = next++; j < jobs.size(); j = next++) {
+      throwIfInterrupted();
       const ShadingOperation& one = batches[runs[jobs[j].begin].batch].operations[runs[jobs[j].begin].begin];
       const StoreGeometry& geometry = geometry_[one.view];
-      const int pad = geometry.lightPad(), tiles_x = geometry.tiles_x;
-      const BlockCache::Handle block =
-          cache_.get(ViewId{one.view}, static_cast<int>(one.tile) % tiles_x, static_cast<int>(one.tile) / tiles_x);
-      const std::uint16_t* halves = block.halves().data();
+      const BlockCache::Handle handle = cache_.get(ViewId{one.view}, one.tile);
+      const ReflectanceBlock& block = handle.block();
+      std::optional<ProjectedWeights> projected;
+      if (!block.basis.empty()) projected.emplace(block, geometry);
       for (std::size_t r = jobs[j].begin; r < jobs[j].end; ++r) {
         ShadingBatch& batch = batches[runs[r].batch];
         for (std::uint32_t i = runs[r].begin; i < runs[r].end; ++i) {
           const ShadingOperation& operation = batch.operations[i];
-          const float* weights = batch.lights.vector(batch.lights.weights[operation.lights], pad, scratch.data());
-          batch.results[i] = reflectanceDot(halves, pad, operation, weights);
+          const LightWeights& lights = batch.lights.weights[operation.lights];
+          const float* weights = projected ? projected->of(batch.lights, lights)
+                                           : batch.lights.vector(lights, geometry.lightPad(), scratch.data());
+          batch.results[i] = reflectanceDot(block.halves.data(), block.pad, operation, weights);
         }
       }
     }

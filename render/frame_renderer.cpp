@@ -14,6 +14,7 @@
 #include "render/guided_interpolation.h"
 #include "render/light_weights.h"
 #include "render/look_up.h"
+#include "render/projected_weights.h"
 #include "render/view_selection.h"
 
 namespace srf {
@@ -306,7 +307,7 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
                            std::to_string(store.geometry().light_count) + " lights; expected " + hexHash(view.hash) +
                            ", " + std::to_string(view.lights.size()) + "): run srf acquire again");
       source.geometry = store.geometry();
-      source.coverage = &store.coverage();
+      source.coverage = store.coverages();
     }
     views.push_back(source);
     geometry.push_back(source.geometry);
@@ -330,7 +331,7 @@ void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView&
     if (!(chosen.fetch.tap[t] > 0)) continue;
     const int x = chosen.fetch.x + t % 2, y = chosen.fetch.y + t / 2;
     const int tile_x = x / kTile, tile_y = y / kTile;
-    const auto tile = static_cast<std::uint32_t>(tile_y * geometry.tiles_x + tile_x);
+    const std::uint32_t tile = geometry.tileNumber({chosen.fetch.level, tile_x, tile_y});
     // The first texel of the fetch, or where the fetch enters the tile.
     const int corner_x = std::max(chosen.fetch.x - tile_x * kTile, 0);
     const int corner_y = std::max(chosen.fetch.y - tile_y * kTile, 0);
@@ -649,16 +650,20 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
     const LightGather& gathered = block.shading.lights;
     const float* vector = gathered.vector(gathered.weights[operation.lights], pad, scratch.data());
     result.merged[operation.lights] = nonzero(vector, geometry.light_count);
-    const int tile_x = static_cast<int>(operation.tile) % geometry.tiles_x,
-              tile_y = static_cast<int>(operation.tile) / geometry.tiles_x;
-    const BlockCache::Handle texels = s.cache->get(ViewId{operation.view}, tile_x, tile_y);
+    const TilePlace place = geometry.place(operation.tile);
+    const BlockCache::Handle handle = s.cache->get(ViewId{operation.view}, operation.tile);
+    const ReflectanceBlock& texels = handle.block();
+    ProjectedWeights projected(texels, geometry);
+    if (!texels.basis.empty()) vector = projected.of(gathered, gathered.weights[operation.lights]);
     for (int t = 0; t < 4; ++t) {
       if (!(operation.tap[t] > 0)) continue;
       ShadingOperation alone = operation;
       for (int other = 0; other < 4; ++other) alone.tap[other] = other == t;
-      hit.texels.push_back({operation.view, geometry.crop_x + tile_x * kTile + operation.x + t % 2,
-                            geometry.crop_y + tile_y * kTile + operation.y + t / 2, operation.tap[t],
-                            reflectanceDotReference(texels.halves().data(), pad, alone, vector)});
+      // At a coarser level the first of the pixels that the texel stands for.
+      hit.texels.push_back({operation.view, geometry.crop_x + ((place.x * kTile + operation.x + t % 2) << place.level),
+                            geometry.crop_y + ((place.y * kTile + operation.y + t / 2) << place.level),
+                            operation.tap[t],
+                            reflectanceDotReference(texels.halves.data(), texels.pad, alone, vector)});
     }
   }
   for (ExplainedHit& hit : result.hits)

@@ -54,10 +54,13 @@ Rgb reflectanceDot(const std::uint16_t* block, int light_pad, const ShadingOpera
   Rgb result;
   for (int c = 0; c < 3; ++c) {
     __m256 even = _mm256_setzero_ps(), odd = _mm256_setzero_ps();
-    for (int i = c * light_pad; i < (c + 1) * light_pad; i += 16) {
+    const int end = (c + 1) * light_pad;
+    int i = c * light_pad;
+    for (; i + 16 <= end; i += 16) {
       even = product(i, even);
       odd = product(i + 8, odd);
     }
+    if (i < end) even = product(i, even);
     const __m256 both = _mm256_add_ps(even, odd);
     __m128 four = _mm_add_ps(_mm256_castps256_ps128(both), _mm256_extractf128_ps(both, 1));
     four = _mm_add_ps(four, _mm_movehl_ps(four, four));

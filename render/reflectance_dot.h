@@ -11,7 +11,7 @@ namespace srf {
 using Rgb = std::array<float, 3>;
 
 /// sum over taps t and lights j of tap_t * block[y_t][x_t][c][j] * weights[c][j], for each channel c.
-/// `block`: half[16][16][3][light_pad] of finite values; `weights`: float[3][light_pad]; light_pad a multiple of 16.
+/// `block`: half[16][16][3][light_pad] of finite values; `weights`: float[3][light_pad]; light_pad a multiple of 8.
 /// Error: at most (light_pad / 8 + 10) 2^-24 of the sum of the terms' absolute values.
 Rgb reflectanceDot(const std::uint16_t* block, int light_pad, const ShadingOperation& operation, const float* weights);
 

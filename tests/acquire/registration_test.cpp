@@ -329,7 +329,7 @@ TEST_F(RegistrationTest, AnInterruptedRunKeepsItsFinishedViews) {
   fs::create_directories(out / "views");
   const StoredView finished = [&] {
     Reporter::Stage stage(reporter_, "register", 3);
-    return registerView(capture_, ViewId{0}, ballMask(), out, {.compress = true}, stage, reporter_);
+    return registerView(capture_, ViewId{0}, ballMask(), out, {.coding = {}}, stage, reporter_);
   }();
   setInterruptRequested(true);
   EXPECT_THROW(acquireField(capture_, out, options, reporter_), Error);

@@ -31,12 +31,12 @@ class BlockCacheTest : public testing::Test {
   }
   BlockCache cacheOf(std::size_t blocks) { return BlockCache(stores_, blocks * geometry_.blockBytes()); }
   BlockCache::Handle get(BlockCache& cache, int tile, std::uint32_t view = 0) const {
-    return cache.get(ViewId{view}, tile % geometry_.tiles_x, tile / geometry_.tiles_x);
+    return cache.get(ViewId{view}, static_cast<std::uint32_t>(tile));
   }
   bool right(const BlockCache::Handle& handle, int tile) const {
     const auto expected =
         tile == 2 ? std::vector<std::uint16_t>(geometry_.blockHalves(), 0) : randomBlock(geometry_, tile);
-    return std::equal(expected.begin(), expected.end(), handle.halves().begin(), handle.halves().end());
+    return std::equal(expected.begin(), expected.end(), handle.block().halves.begin(), handle.block().halves.end());
   }
 
   test::TemporaryFolder folder_;
@@ -82,10 +82,10 @@ TEST_F(BlockCacheTest, LetsTheLeastRecentlyUsedGo) {
 TEST_F(BlockCacheTest, NeverLetsABlockGoThatIsInUse) {
   BlockCache cache = cacheOf(1);
   const auto held = get(cache, 0);
-  const auto* data = held.halves().data();
+  const auto* data = held.block().halves.data();
   for (int tile = 1; tile < 8; ++tile)
     EXPECT_TRUE(right(get(cache, tile), tile));  // the holder may go beyond the budget
-  EXPECT_EQ(get(cache, 0).halves().data(), data);
+  EXPECT_EQ(get(cache, 0).block().halves.data(), data);
   EXPECT_TRUE(right(held, 0));
 }
 
@@ -142,7 +142,7 @@ TEST(BlockCache, ThreadsThatWantTheSameBlockReadItOnce) {
     threads.emplace_back([&] {
       for (int tile = 3; tile < 8; ++tile) {
         start.arrive_and_wait();
-        EXPECT_EQ(cache.get(ViewId{0}, tile % g.tiles_x, tile / g.tiles_x).halves()[0], randomBlock(g, tile)[0]);
+        EXPECT_EQ(cache.get(ViewId{0}, tile).block().halves[0], randomBlock(g, tile)[0]);
       }
     });
   threads.clear();
@@ -169,6 +169,80 @@ TEST_F(BlockCacheTest, ADamagedBlockIsAnErrorForEveryoneAndBlocksNobody) {
   }
   EXPECT_EQ(errors, 3);
   EXPECT_TRUE(right(get(cache, 7, 0), 7));
+}
+
+// ---- reading ahead ----
+
+TEST_F(BlockCacheTest, APlanIsReadOnceWithRoomForOneBlockByAnyNumberOfReaders) {
+  std::vector<std::uint64_t> keys;
+  for (std::uint32_t view = 0; view < 2; ++view)
+    for (std::uint32_t tile = 0; tile < 8; ++tile) keys.push_back(blockKey(view, tile));
+  for (const int readers : {0, 1, 16})
+    for (const std::size_t ahead : {std::size_t{1}, std::size_t{4} << 20}) {
+      BlockCache cache(stores_, 1, {ahead, readers});
+      for (int round = 1; round <= 2; ++round) {
+        cache.plan(keys);
+        for (const std::uint64_t key : keys) {
+          const int tile = static_cast<int>(key & 0xff);
+          EXPECT_TRUE(right(get(cache, tile, key >> 32), tile)) << readers << " readers, " << ahead << " bytes ahead";
+        }
+        const CacheStatistics s = cache.statistics();
+        EXPECT_EQ(s.misses + s.hits, 16u * round);
+        EXPECT_EQ(s.reread, s.misses - 16);
+        EXPECT_EQ(s.peak_bytes, geometry_.blockBytes());
+      }
+      // At most one request beyond what may be held: there is always one.
+      EXPECT_LE(cache.statistics().peak_ahead_bytes, std::max<std::size_t>(ahead, 8 * geometry_.blockBytes()));
+    }
+}
+
+TEST_F(BlockCacheTest, NeighboursInTheFileAreReadAsOne) {
+  std::vector<std::uint64_t> keys;
+  for (std::uint32_t tile = 0; tile < 8; ++tile) keys.push_back(blockKey(0, tile));
+  BlockCache cache(stores_, 1 << 20, {1 << 20, 2});
+  cache.plan(keys);
+  std::this_thread::sleep_for(std::chrono::milliseconds(200));  // the readers have come to the end of it
+  for (int tile = 0; tile < 8; ++tile) EXPECT_TRUE(right(get(cache, tile), tile));
+  EXPECT_LE(cache.statistics().requests, 2u);  // 7 blocks of a few kilobytes
+  EXPECT_EQ(cache.statistics().misses, 8u);
+}
+
+TEST_F(BlockCacheTest, WhatThePlanWantsSoonestIsLetGoLast) {
+  BlockCache cache(stores_, 3 * geometry_.blockBytes(), {1 << 20, 0});
+  for (const int tile : {5, 6, 7}) get(cache, tile);  // held from before
+  std::vector<std::uint64_t> keys;
+  for (const std::uint32_t tile : {0, 1, 3, 4, 5, 6, 7}) keys.push_back(blockKey(0, tile));
+  cache.plan(keys);
+  for (const int tile : {0, 1, 3, 4, 5, 6, 7}) get(cache, tile);
+  // By age alone 5, 6 and 7 would have gone before their turn; only 7 must, being wanted last.
+  EXPECT_EQ(cache.statistics().hits, 2u);
+  EXPECT_EQ(cache.statistics().reread, 1u);
+}
+
+TEST_F(BlockCacheTest, AnotherPlanKeepsWhatItWantsTooAndForgetsTheRest) {
+  BlockCache cache(stores_, 1, {1 << 20, 4});
+  for (int round = 0; round < 50; ++round) {
+    std::vector<std::uint64_t> keys;
+    for (std::uint32_t tile = round % 3; tile < 8; tile += 1 + round % 2) keys.push_back(blockKey(round % 2, tile));
+    cache.plan(keys);
+    if (round % 5 == 0) continue;  // not asked for at all
+    for (const std::uint64_t key : keys) {
+      const int tile = static_cast<int>(key & 0xff);
+      EXPECT_TRUE(right(get(cache, tile, key >> 32), tile));
+    }
+  }
+}
+
+TEST_F(BlockCacheTest, ADamagedBlockThatWasReadAheadIsAnErrorWhereItIsAskedFor) {
+  const auto file = folder_ / "1";
+  std::filesystem::resize_file(file, std::filesystem::file_size(file) / 4);
+  BlockCache cache(stores_, 1, {1 << 20, 4});
+  std::vector<std::uint64_t> keys{blockKey(0, 3), blockKey(1, 6), blockKey(1, 7)};
+  cache.plan(keys);
+  EXPECT_TRUE(right(get(cache, 3), 3));
+  EXPECT_THROW(get(cache, 6, 1), Error);
+  EXPECT_THROW(get(cache, 7, 1), Error);
+  EXPECT_TRUE(right(get(cache, 7), 7));
 }
 
 }  // namespace

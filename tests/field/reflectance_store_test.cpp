@@ -3,11 +3,15 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <fstream>
+#include <map>
+#include <random>
 #include <thread>
 
 #include "base/error.h"
+#include "base/half.h"
 #include "tests/field/store_fixture.h"
 #include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
@@ -155,15 +159,15 @@ TEST(ReflectanceStore, RejectsImpossibleNumbersBehindARightChecksum) {
   const auto patched = [&](std::size_t at, auto value) {
     auto bytes = original;
     std::memcpy(bytes.data() + at, &value, sizeof value);
-    const std::uint64_t hash = contentHash(bytes.data(), 96);
-    std::memcpy(bytes.data() + 96, &hash, sizeof hash);
+    const std::uint64_t hash = contentHash(bytes.data(), 136);
+    std::memcpy(bytes.data() + 136, &hash, sizeof hash);
     overwrite(file, 0, bytes.data(), bytes.size());
     expectRefused(file, "damaged");
   };
   for (const std::size_t at : {48, 56, 72})  // coverage_offset, coverage_bytes, index_offset
     for (const std::uint64_t value : {~0ull, 1ull << 63, static_cast<unsigned long long>(original.size())})
       patched(at, value);
-  for (const std::size_t at : {16, 20, 24, 28, 32, 36, 40})  // sizes, crop, tiles, lights
+  for (const std::size_t at : {16, 20, 24, 28, 32, 36, 40, 44})  // sizes, crop, tiles, lights, levels
     for (const std::int32_t value : {-1, 2000000000, 65537}) patched(at, value);
   patched(32, 4096);  // more tiles than the index has
 }
@@ -175,7 +179,7 @@ TEST(ReflectanceStore, RejectsANewerVersion) {
   auto bytes = readBinaryFile(file);
   bytes[8] = std::byte{7};
   overwrite(file, 0, bytes.data(), bytes.size());
-  expectRefused(file, "has version 7, this program reads up to 1");
+  expectRefused(file, "has version 7, this program reads up to 2");
 }
 
 TEST(ReflectanceStore, RejectsExchangedTiles) {
@@ -193,7 +197,8 @@ TEST(ReflectanceStore, ManyThreadsWriteAndReadTheSame) {
   const test::TemporaryFolder folder;
   const StoreGeometry g = smallGeometry();
   const std::uint64_t expected = writeSmallStore(folder / "one.blk", g);
-  Image8 coverage = ReflectanceStore(folder / "one.blk").coverage();
+  Image8 coverage(g.cropWidth(), g.cropHeight(), 1, 200);
+  for (int y = 0; y < kTile; ++y) std::fill_n(&coverage.at(2 * kTile, y), kTile, std::uint8_t{0});
   ReflectanceStoreWriter writer(folder / "many.blk", g, coverage);
   {
     std::vector<std::jthread> threads;
@@ -212,6 +217,281 @@ TEST(ReflectanceStore, ManyThreadsWriteAndReadTheSame) {
         EXPECT_EQ(read(store, tile), randomBlock(g, tile));
       }
     });
+}
+
+TEST(Coverage, IsTheImageInLessMemory) {
+  std::mt19937 random(2);
+  Image8 image(77, 60, 1);
+  for (int y = 0; y < 60; ++y)
+    for (int x = 0; x < 77; ++x) {
+      const double inside = 25 - std::hypot(x - 38.0, y - 30.0);
+      image.at(x, y) = static_cast<std::uint8_t>(std::clamp(inside, 0.0, 1.0) * 255);
+      if (x > 64) image.at(x, y) = static_cast<std::uint8_t>(random());
+    }
+  const Coverage coverage(image);
+  ASSERT_EQ(coverage.width(), 77);
+  ASSERT_EQ(coverage.height(), 60);
+  for (int y = 0; y < 60; ++y)
+    for (int x = 0; x < 77; ++x) ASSERT_EQ(coverage.at(x, y), image.at(x, y)) << x << ' ' << y;
+  EXPECT_LT(Coverage(Image8(512, 512, 1, 255)).bytes(), 5000u);
+}
+
+// A file as the first version of this program wrote it: a shorter header, one level.
+TEST(ReflectanceStore, ReadsVersionOne) {
+  const test::TemporaryFolder folder;
+  const StoreGeometry g = smallGeometry();
+  const std::uint64_t hash = writeSmallStore(folder / "v.blk", g);
+  auto bytes = readBinaryFile(folder / "v.blk");
+  const std::uint32_t version = 1, none = 0;
+  std::memcpy(&bytes[8], &version, sizeof version);
+  std::memcpy(&bytes[44], &none, sizeof none);
+  const std::uint64_t header = contentHash(bytes.data(), 96);
+  std::memcpy(&bytes[96], &header, sizeof header);
+  overwrite(folder / "v.blk", 0, bytes.data(), bytes.size());
+  const ReflectanceStore store(folder / "v.blk");
+  EXPECT_EQ(store.contentHash(), hash);
+  EXPECT_EQ(store.geometry().levels, 1);
+  EXPECT_EQ(store.fidelity().compression, Compression::lossless);
+  for (int tile = 0; tile < g.tileCount(); ++tile)
+    if (tile != 2) {
+      EXPECT_EQ(read(store, tile), randomBlock(g, tile));
+    }
+}
+
+// ---- levels ----
+
+ReflectanceBlock blockOf(const ReflectanceStore& store, const TilePlace& at) {
+  ReadBuffer buffer;
+  ReflectanceBlock block;
+  const std::uint32_t tile = store.geometry().tileNumber(at);
+  store.decode(tile, store.read(store.place(tile), buffer), block);
+  return block;
+}
+
+/// 5 x 3 tiles of numbers that halves hold exactly; coverage 255, but 0 left of column 21 and 100 in it.
+struct LevelField {
+  StoreGeometry geometry{80, 48, 0, 0, 5, 3, 2};
+  Image8 coverage = Image8(80, 48, 1, 255);
+  LevelField(bool black) {
+    geometry.black_background = black;
+    geometry.levels = geometry.mostLevels();
+    for (int y = 0; y < 48; ++y)
+      for (int x = 0; x < 22; ++x) coverage.at(x, y) = x < 21 ? 0 : 100;
+  }
+  static float value(int x, int y) { return static_cast<float>(x + 4 * y); }
+  std::vector<std::uint16_t> block(int tile) const {
+    std::vector<std::uint16_t> halves(geometry.blockHalves(), 0);
+    for (int i = 0; i < kTile * kTile; ++i) {
+      const int x = tile % 5 * kTile + i % kTile, y = tile / 5 * kTile + i / kTile;
+      if (coverage.at(x, y) > 0)
+        halves[i * geometry.texelHalves() + geometry.lightPad() + 1] = halfFromFloat(value(x, y));
+    }
+    return halves;
+  }
+  std::uint64_t write(const fs::path& file, bool backwards = false, int threads = 1) const {
+    ReflectanceStoreWriter writer(file, geometry, coverage);
+    std::vector<std::jthread> workers;
+    for (int t = 0; t < threads; ++t)
+      workers.emplace_back([&, t] {
+        for (int i = t; i < 15; i += threads) {
+          const int tile = backwards ? 14 - i : i;
+          if (tile % 5 > 0) writer.writeTile(tile % 5, tile / 5, block(tile));
+        }
+      });
+    workers.clear();
+    return writer.commit();
+  }
+};
+
+TEST(ReflectanceStore, LevelsHoldMeansWeighedByCoverage) {
+  const test::TemporaryFolder folder;
+  const LevelField field(true);
+  field.write(folder / "v.blk");
+  const ReflectanceStore store(folder / "v.blk");
+  const StoreGeometry& g = store.geometry();
+  ASSERT_EQ(g.levels, 4);  // 5 x 3, 3 x 2, 2 x 1, 1 x 1
+  EXPECT_EQ(g.allTiles(), 15u + 6 + 2 + 1);
+  const auto at = [&](int level, int x, int y) {
+    const ReflectanceBlock block = blockOf(store, {level, x / kTile, y / kTile});
+    return floatFromHalf(block.halves[(y % kTile * kTile + x % kTile) * g.texelHalves() + g.lightPad() + 1]);
+  };
+  EXPECT_EQ(store.coverage(1).at(9, 5), 0);
+  EXPECT_EQ(store.coverage(1).at(10, 5), 50);  // columns 20 and 21: 0 and 100
+  EXPECT_EQ(store.coverage(1).at(11, 5), 255);
+  EXPECT_EQ(at(1, 20, 7), (field.value(40, 14) + field.value(41, 15)) / 2);
+  EXPECT_EQ(at(1, 10, 5), (field.value(21, 10) + field.value(21, 11)) / 4);  // premultiplied, as its coverage is
+  EXPECT_EQ(at(2, 15, 3), (field.value(60, 12) + field.value(63, 15)) / 2);
+  EXPECT_EQ(at(3, 6, 2), (field.value(48, 16) + field.value(55, 23)) / 2);
+  EXPECT_EQ(store.coverage(1).at(39, 23), 255);
+  EXPECT_EQ(store.coverage(1).at(40, 23), 0);  // beyond the crop
+}
+
+TEST(ReflectanceStore, LevelsOverABackgroundHoldTheObjectAlone) {
+  const test::TemporaryFolder folder;
+  const LevelField field(false);
+  field.write(folder / "v.blk");
+  const ReflectanceStore store(folder / "v.blk");
+  EXPECT_EQ(store.coverage(1).at(10, 5), 0);
+  EXPECT_EQ(store.coverage(1).at(11, 5), 255);
+  const ReflectanceBlock block = blockOf(store, {1, 0, 0});
+  const StoreGeometry& g = store.geometry();
+  EXPECT_EQ(floatFromHalf(block.halves[(5 * kTile + 11) * g.texelHalves() + g.lightPad() + 1]),
+            (field.value(22, 10) + field.value(23, 11)) / 2);
+}
+
+TEST(ReflectanceStore, LevelsAreTheSameWhateverTheOrderOfWriting) {
+  const test::TemporaryFolder folder;
+  const LevelField field(true);
+  const std::uint64_t hash = field.write(folder / "a.blk");
+  EXPECT_EQ(field.write(folder / "b.blk", /*backwards=*/true), hash);
+  EXPECT_EQ(field.write(folder / "c.blk", false, /*threads=*/3), hash);
+}
+
+// ---- principal components ----
+
+/// A surface of three kinds of reflectance in changing shares, and noise like that of photons.
+std::vector<std::uint16_t> surfaceBlock(const StoreGeometry& g, double noise, unsigned seed, bool clean_copy = false) {
+  std::mt19937 random(seed);
+  std::normal_distribution<double> normal;
+  std::vector<std::uint16_t> block(g.blockHalves(), 0);
+  for (int t = 0; t < kTile * kTile; ++t)
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < g.light_count; ++k) {
+        const double a = 0.5 + 0.4 * std::sin(0.3 * t + c), b = 0.5 + 0.3 * std::cos(0.11 * t * (1 + c));
+        const double phase = 6.28 * k / g.light_count;
+        const double value = std::max(0.0, a * (0.6 + 0.4 * std::cos(phase)) + b * (0.3 + 0.3 * std::sin(2 * phase)) +
+                                               0.4 * std::pow(std::max(0.0, std::cos(phase - 0.02 * t)), 8));
+        const double noisy = value + noise * std::sqrt(value + 0.05) * normal(random);
+        block[(t * 3 + c) * g.lightPad() + k] =
+            halfFromFloat(static_cast<float>(clean_copy ? value : std::max(0.0, noisy)));
+      }
+  return block;
+}
+
+double rootMeanSquare(const std::vector<std::uint16_t>& a, const std::vector<std::uint16_t>& b) {
+  double sum = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    const double d = static_cast<double>(floatFromHalf(a[i])) - floatFromHalf(b[i]);
+    sum += d * d;
+  }
+  return std::sqrt(sum / static_cast<double>(a.size()));
+}
+
+TEST(CompressedBlock, KeepsTheSurfaceAndDropsTheNoise) {
+  const StoreGeometry g{16, 16, 0, 0, 1, 1, 100};
+  const auto noisy = surfaceBlock(g, 0.02, 1), clean = surfaceBlock(g, 0.02, 1, true);
+  const auto compressed = compressBlock(g, noisy, 0.001);
+  ASSERT_TRUE(compressed);
+  std::vector<std::uint16_t> got(g.blockHalves());
+  expandBlock(g, compressed->block, got);
+  std::printf("rank %d, error against the clean block %.5f, of the noise %.5f\n", compressed->block.pad,
+              rootMeanSquare(got, clean), rootMeanSquare(noisy, clean));
+  EXPECT_LT(rootMeanSquare(got, clean), 0.5 * rootMeanSquare(noisy, clean));
+  EXPECT_LE(compressed->block.pad, 16);
+}
+
+TEST(CompressedBlock, MeetsTheErrorWhereThereIsNoNoise) {
+  const StoreGeometry g{16, 16, 0, 0, 1, 1, 40};
+  const auto clean = surfaceBlock(g, 0, 1);
+  const std::vector<std::uint16_t> zero(clean.size(), 0);
+  for (const double error : {0.1, 0.01, 0.002}) {
+    const auto compressed = compressBlock(g, clean, error);
+    ASSERT_TRUE(compressed);
+    std::vector<std::uint16_t> got(g.blockHalves());
+    expandBlock(g, compressed->block, got);
+    // Weighed by light, so not to the digit.
+    EXPECT_LT(rootMeanSquare(got, clean), 1.2 * error * rootMeanSquare(clean, zero)) << error;
+    ReflectanceBlock read;
+    ASSERT_TRUE(unpackCompressed(g, compressed->stored, read));
+    EXPECT_EQ(read.halves, compressed->block.halves);
+    EXPECT_EQ(read.basis, compressed->block.basis);
+  }
+}
+
+TEST(CompressedBlock, HandlesMoreLightsThanTexelsAndHardlyAnyTexels) {
+  const StoreGeometry many{16, 16, 0, 0, 1, 1, 900}, few{16, 16, 0, 0, 1, 1, 30};
+  const auto block = surfaceBlock(many, 0.02, 3);
+  const auto compressed = compressBlock(many, block, 0.01);
+  ASSERT_TRUE(compressed);
+  std::vector<std::uint16_t> got(many.blockHalves());
+  expandBlock(many, compressed->block, got);
+  EXPECT_LT(rootMeanSquare(got, block), 0.03);
+  std::vector<std::uint16_t> sparse(few.blockHalves(), 0);
+  EXPECT_FALSE(compressBlock(few, sparse, 0.01));  // empty
+  sparse[5 * few.lightPad() + 3] = 0x7bff;         // one value, the largest there is
+  const auto one = compressBlock(few, sparse, 0.01);
+  ASSERT_TRUE(one);
+  std::vector<std::uint16_t> back(few.blockHalves());
+  expandBlock(few, one->block, back);
+  EXPECT_NEAR(floatFromHalf(back[5 * few.lightPad() + 3]), 65504, 40);
+  EXPECT_EQ(std::count(back.begin(), back.end(), 0), static_cast<int>(back.size()) - 1);
+}
+
+TEST(CompressedBlock, RefusesBytesThatAreNone) {
+  const StoreGeometry g{16, 16, 0, 0, 1, 1, 20};
+  const auto compressed = compressBlock(g, surfaceBlock(g, 0.02, 4), 0.01);
+  ASSERT_TRUE(compressed);
+  ReflectanceBlock block;
+  auto bytes = compressed->stored;
+  bytes.pop_back();
+  EXPECT_FALSE(unpackCompressed(g, bytes, block));
+  bytes = compressed->stored;
+  bytes[0] = std::byte{0};
+  EXPECT_FALSE(unpackCompressed(g, bytes, block));
+  EXPECT_FALSE(unpackCompressed(g, {}, block));
+  const float infinite = INFINITY;
+  bytes = compressed->stored;
+  std::memcpy(&bytes[4], &infinite, sizeof infinite);
+  EXPECT_FALSE(unpackCompressed(g, bytes, block));
+}
+
+TEST(ReflectanceStore, RecordsWhatCompressionLost) {
+  const test::TemporaryFolder folder;
+  const StoreGeometry g{64, 32, 0, 0, 4, 2, 100};
+  std::vector<std::vector<std::uint16_t>> blocks;
+  std::map<Compression, std::uintmax_t> bytes;
+  for (int tile = 0; tile < 8; ++tile) blocks.push_back(surfaceBlock(g, 0.02, tile));
+  for (const Compression compression : {Compression::lossless, Compression::pca, Compression::none}) {
+    ReflectanceStoreWriter writer(folder / "v.blk", g, Image8(64, 32, 1, 255), {compression, 0.004});
+    for (int tile = 0; tile < 8; ++tile) writer.writeTile(tile % 4, tile / 4, blocks[tile]);
+    const std::uint64_t hash = writer.commit();
+    const ReflectanceStore store(folder / "v.blk");
+    EXPECT_EQ(store.contentHash(), hash);
+    bytes[compression] = fs::file_size(folder / "v.blk");
+    double squares = 0, all = 0;
+    const std::vector<std::uint16_t> zero(g.blockHalves(), 0);
+    for (int tile = 0; tile < 8; ++tile) {
+      squares += std::pow(rootMeanSquare(read(store, tile), blocks[tile]), 2);
+      all += std::pow(rootMeanSquare(zero, blocks[tile]), 2);
+    }
+    EXPECT_EQ(store.fidelity().compression, compression);
+    EXPECT_NEAR(store.fidelity().relative_error, std::sqrt(squares / all), 1e-9);
+    EXPECT_EQ(store.fidelity().largest_error > 0, compression == Compression::pca);
+    std::uint16_t highest = 0;
+    for (const auto& block : blocks) highest = std::max(highest, *std::max_element(block.begin(), block.end()));
+    EXPECT_EQ(store.fidelity().highest, highest);
+    EXPECT_GE(store.fidelity().highest_count, 1u);
+  }
+  std::printf("halves %ju, lossless %ju, principal components %ju bytes\n", bytes[Compression::none],
+              bytes[Compression::lossless], bytes[Compression::pca]);
+  const auto halves = static_cast<double>(8 * 256 * 3 * 100 * 2);
+  EXPECT_GT(halves / static_cast<double>(bytes[Compression::pca]), 8);
+}
+
+TEST(ReflectanceStore, ReadsPastTheSystemsCacheTheSame) {
+  const fs::path here = fs::current_path() / "direct.blk";  // a temporary folder may be in memory
+  const StoreGeometry g = smallGeometry(37);
+  writeSmallStore(here, g);
+  try {
+    const ReflectanceStore store(here, /*direct=*/true);
+    for (int tile = 0; tile < g.tileCount(); ++tile)
+      if (tile != 2) {
+        EXPECT_EQ(read(store, tile), randomBlock(g, tile));
+      }
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("cannot be read directly"), std::string::npos) << e.what();
+  }
+  fs::remove(here);
 }
 
 }  // namespace

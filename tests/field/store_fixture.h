@@ -34,10 +34,11 @@ inline std::vector<std::uint16_t> randomBlock(const StoreGeometry& g, int tile, 
 /// Every tile but number 2, which has no coverage.
 inline std::uint64_t writeSmallStore(const std::filesystem::path& file, const StoreGeometry& g, bool compress = true,
                                      bool smooth = true, bool backwards = false) {
+  const StoreCoding coding{compress ? Compression::lossless : Compression::none};
   Image8 coverage(g.cropWidth(), g.cropHeight(), 1, 200);
   for (int y = 0; y < kTile; ++y)
     for (int x = 2 * kTile; x < 3 * kTile; ++x) coverage.at(x, y) = 0;
-  ReflectanceStoreWriter writer(file, g, coverage, compress);
+  ReflectanceStoreWriter writer(file, g, coverage, coding);
   for (int i = 0; i < g.tileCount(); ++i) {
     const int tile = backwards ? g.tileCount() - 1 - i : i;
     if (tile != 2) writer.writeTile(tile % g.tiles_x, tile / g.tiles_x, randomBlock(g, tile, smooth));

@@ -220,10 +220,10 @@ TEST(AcquiredLights, ACapturedIlluminationStandsForNoOther) {
 /// Views on a sphere about the origin, all of whose pixels show something.
 struct Views {
   std::vector<SourceView> views;
-  Image8 coverage;
+  Coverage coverage;
   VisibilityBits visible;
   explicit Views(int count, std::mt19937& random, std::size_t points = 1)
-      : coverage(64, 64, 1, 255), visible(points, count) {
+      : coverage(Image8(64, 64, 1, 255)), visible(points, count) {
     for (int i = 0; i < count; ++i) {
       SourceView view;
       view.camera.lens = pinholeFromFov(64, 64, 30);
@@ -337,8 +337,10 @@ TEST(ViewSelection, WithoutAViewThatSeesTheNearestPictureStandsIn) {
 TEST(ViewSelection, WeightsAreContinuousAcrossTheBorderOfAPictureAndOfTheMask) {
   std::mt19937 random(6);
   Views field(7, random);
+  Image8 mask(64, 64, 1, 255);
   for (int y = 0; y < 64; ++y)
-    for (int x = 40; x < 64; ++x) field.coverage.at(x, y) = 0;
+    for (int x = 40; x < 64; ++x) mask.at(x, y) = 0;
+  field.coverage = Coverage(mask);
   const ViewSelection selection(field.views, field.visible, 3);
   ViewSelection::Scratch scratch;
   std::vector<ChosenView> chosen;
@@ -370,7 +372,8 @@ TEST(ViewSelection, WeightsAreContinuousAcrossTheBorderOfAPictureAndOfTheMask) {
 }
 
 TEST(BilinearFetch, LeavesOutTexelsWithoutCoverage) {
-  Image8 coverage(16, 16, 1, 255);
+  Image8 mask(16, 16, 1, 255);
+  Coverage coverage(mask);
   SourceView view;
   view.geometry = {100, 100, 32, 48, 1, 1, 1};
   view.coverage = &coverage;
@@ -382,8 +385,9 @@ TEST(BilinearFetch, LeavesOutTexelsWithoutCoverage) {
   EXPECT_NEAR(fetch.tap[0], 0.375, 1e-7);
   EXPECT_NEAR(fetch.tap[3], 0.125, 1e-7);
   // Premultiplied: the sum of pixels over the sum of coverages; under one half a texel is left out.
-  coverage.at(4, 6) = 153;  // 0.6
-  coverage.at(5, 6) = 100;
+  mask.at(4, 6) = 153;  // 0.6
+  mask.at(5, 6) = 100;
+  coverage = Coverage(mask);
   fetch = bilinearFetch(view, pixel);
   const double denominator = 0.375 * 0.6 + 0.375 + 0.125;
   EXPECT_NEAR(fetch.tap[0], 0.375 / denominator, 1e-6);
@@ -398,7 +402,7 @@ TEST(BilinearFetch, LeavesOutTexelsWithoutCoverage) {
 }
 
 TEST(BilinearFetch, OffTheStoredRectangleThereIsNothing) {
-  const Image8 coverage(16, 16, 1, 255);
+  const Coverage coverage(Image8(16, 16, 1, 255));
   SourceView view;
   view.geometry = {100, 100, 32, 48, 1, 1, 1};
   view.coverage = &coverage;

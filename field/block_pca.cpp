@@ -1,0 +1,222 @@
+// Principal components of a block over its lights. The one file of field/ that includes Eigen.
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "base/half.h"
+#include "field/reflectance_block.h"
+
+namespace srf {
+namespace {
+
+constexpr int kRows = kTile * kTile * 3;  // a texel's channel each
+constexpr int kMostRank = 255;
+// Of the block's mean: below it a sensor's own noise outweighs that of photons.
+constexpr double kDarkShare = 0.05;
+constexpr double kLargestStep = 30000;  // of a coefficient, in steps
+
+struct StoredHeader {
+  std::uint8_t rank, reserved[3];
+};
+/// Of one component, before its basis vector and its coefficients.
+struct StoredComponent {
+  float scale;                ///< of the basis vector, whose largest entry is 1 or -1
+  std::uint32_t differences;  ///< 1: coefficients as differences to the texel above (first row: to the left)
+};
+
+int rankPad(int rank) {
+  return (rank + kRankGroup - 1) / kRankGroup * kRankGroup;
+}
+
+/// The coefficient that a stored difference refers to; the same channel of another texel.
+int before(int row) {
+  const int texel = row / 3;
+  if (texel >= kTile) return row - 3 * kTile;
+  return texel > 0 ? row - 3 : -1;
+}
+
+// Small numbers of either sign become small numbers.
+std::uint16_t folded(std::int16_t value) {
+  return static_cast<std::uint16_t>((value << 1) ^ (value >> 15));
+}
+std::int16_t unfolded(std::uint16_t value) {
+  return static_cast<std::int16_t>((value >> 1) ^ -(value & 1));
+}
+
+// Bytes of a stored block of that rank.
+std::size_t storedBytes(const StoreGeometry& g, int rank) {
+  return sizeof(StoredHeader) +
+         rank * (sizeof(StoredComponent) + 2 * static_cast<std::size_t>(g.light_count) + 2 * kRows);
+}
+
+/// Share of the median singular value above which one is more signal than noise, for a matrix whose shorter side is
+/// beta times its longer one (Gavish and Donoho 2014, Eq. 5; within 0.02 of their exact values).
+double hardThreshold(double beta) {
+  return ((0.56 * beta - 0.95) * beta + 1.82) * beta + 1.43;
+}
+
+}  // namespace
+
+std::optional<CompressedBlock> compressBlock(const StoreGeometry& g, std::span<const std::uint16_t> block,
+                                             double error) {
+  using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  const int lights = g.light_count, pad = g.lightPad();
+  // Rows without any light (texels without coverage) say nothing and are left out.
+  std::vector<int> rows;
+  for (int row = 0; row < kRows; ++row) {
+    const auto values = block.subspan(static_cast<std::size_t>(row) * pad, pad);
+    if (std::any_of(values.begin(), values.end(), [](std::uint16_t v) { return v != 0; })) rows.push_back(row);
+  }
+  if (rows.empty()) return std::nullopt;
+  const int n = static_cast<int>(rows.size());
+  Matrix x(n, lights);
+  std::vector<float> values(pad);
+  for (int i = 0; i < n; ++i) {
+    floatsFromHalves(block.data() + static_cast<std::size_t>(rows[i]) * pad, values.data(), pad);
+    for (int j = 0; j < lights; ++j) x(i, j) = values[j];
+  }
+  Eigen::VectorXd deviation = x.colwise().mean().transpose();  // of shot noise, up to a factor
+  deviation = (deviation.array() + kDarkShare * deviation.mean()).sqrt();
+  x.array().rowwise() /= deviation.transpose().array();
+
+  // The smaller of the two Gram matrices has the squares of all singular values.
+  const bool by_lights = lights <= n;
+  const int side = std::min(n, lights);
+  Eigen::MatrixXd gram = Eigen::MatrixXd::Zero(side, side);
+  if (by_lights)
+    gram.selfadjointView<Eigen::Lower>().rankUpdate(x.transpose());
+  else
+    gram.selfadjointView<Eigen::Lower>().rankUpdate(x);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(gram);
+  if (solver.info() != Eigen::Success) return std::nullopt;
+  const auto energy = [&](int k) { return std::max(0.0, solver.eigenvalues()[side - 1 - k]); };  // falling
+  double all = 0;
+  for (int k = 0; k < side; ++k) all += energy(k);
+  if (!(all > 0)) return std::nullopt;
+  const double threshold =
+      std::pow(hardThreshold(static_cast<double>(side) / std::max(n, lights)), 2) * energy(side / 2);
+  const int most = std::min({side, kMostRank, static_cast<int>(g.blockHalves() / 2 / kRows)});
+  double left = all;
+  int rank = 0;
+  while (rank < most && (rank == 0 || (left > error * error * all && energy(rank) > threshold))) left -= energy(rank++);
+  if (2 * storedBytes(g, rank) > g.blockBytes()) return std::nullopt;
+
+  Eigen::MatrixXd components(lights, rank);  // orthonormal columns
+  for (int k = 0; k < rank; ++k) {
+    const auto vector = solver.eigenvectors().col(side - 1 - k);
+    if (by_lights)
+      components.col(k) = vector;
+    else
+      components.col(k) = (x.transpose() * vector) / std::sqrt(energy(k));
+    // Which way a component points is the solver's whim.
+    if (components.col(k).sum() < 0) components.col(k) = -components.col(k);
+  }
+  const Matrix coefficients = x * components;
+  const double residual = std::sqrt(std::max(0.0, left) / (static_cast<double>(n) * lights));
+  const double step = std::max(residual, coefficients.cwiseAbs().maxCoeff() / kLargestStep);
+
+  CompressedBlock result;
+  std::vector<std::byte>& stored = result.stored;
+  stored.resize(storedBytes(g, rank));
+  std::byte* at = stored.data();
+  const auto put = [&](const void* data, std::size_t bytes) {
+    std::memcpy(at, data, bytes);
+    at += bytes;
+  };
+  put(std::vector<StoredHeader>{{static_cast<std::uint8_t>(rank), {}}}.data(), sizeof(StoredHeader));
+  std::vector<std::uint16_t> codes(static_cast<std::size_t>(rank) * kRows);
+  for (int k = 0; k < rank; ++k) {
+    const Eigen::VectorXd vector = components.col(k).cwiseProduct(deviation) * step;
+    const double scale = std::max(vector.cwiseAbs().maxCoeff(), 1e-30);
+    std::vector<std::int16_t> whole(kRows, 0);
+    for (int i = 0; i < n; ++i) whole[rows[i]] = static_cast<std::int16_t>(std::lround(coefficients(i, k) / step));
+    double plain = 0, differing = 0;  // sizes of the codes, about
+    for (int row = 0; row < kRows; ++row) {
+      const double other = before(row) < 0 ? 0 : whole[before(row)];
+      plain += std::log2(1 + std::abs(whole[row]));
+      differing += std::log2(1 + std::fabs(whole[row] - other));
+    }
+    const StoredComponent head{static_cast<float>(scale), differing < plain};
+    put(&head, sizeof head);
+    for (int j = 0; j < lights; ++j) {
+      const std::uint16_t half = halfFromFloat(static_cast<float>(vector[j] / scale));
+      put(&half, sizeof half);
+    }
+    for (int row = 0; row < kRows; ++row) {
+      const int other = head.differences && before(row) >= 0 ? whole[before(row)] : 0;
+      codes[static_cast<std::size_t>(k) * kRows + row] = folded(static_cast<std::int16_t>(whole[row] - other));
+    }
+  }
+  for (const std::uint16_t code : codes) *at++ = static_cast<std::byte>(code);
+  for (const std::uint16_t code : codes) *at++ = static_cast<std::byte>(code >> 8);
+  unpackCompressed(g, stored, result.block);
+  return result;
+}
+
+bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored, ReflectanceBlock& block) {
+  StoredHeader header;
+  if (stored.size() < sizeof header) return false;
+  std::memcpy(&header, stored.data(), sizeof header);
+  const int rank = header.rank, lights = g.light_count;
+  if (rank < 1 || stored.size() != storedBytes(g, rank)) return false;
+  block.pad = rankPad(rank);
+  block.halves.assign(static_cast<std::size_t>(kRows) * block.pad, 0);
+  block.basis.assign(static_cast<std::size_t>(lights) * block.pad, 0.f);
+  const std::byte* at = stored.data() + sizeof header;
+  const std::byte* low = stored.data() + stored.size() - 2 * static_cast<std::size_t>(rank) * kRows;
+  const std::byte* high = low + static_cast<std::size_t>(rank) * kRows;
+  std::int16_t whole[kRows];
+  float values[kRows];
+  std::uint16_t halves[kRows];
+  for (int k = 0; k < rank; ++k, low += kRows, high += kRows) {
+    StoredComponent head;
+    std::memcpy(&head, at, sizeof head);
+    at += sizeof head;
+    if (!std::isfinite(head.scale)) return false;
+    for (int j = 0; j < lights; ++j, at += 2) {
+      std::uint16_t half;
+      std::memcpy(&half, at, sizeof half);
+      float& basis = block.basis[static_cast<std::size_t>(j) * block.pad + k];
+      basis = floatFromHalf(half) * head.scale;
+      if (!std::isfinite(basis)) return false;
+    }
+    for (int row = 0; row < kRows; ++row) {
+      const auto code =
+          static_cast<std::uint16_t>(static_cast<unsigned>(low[row]) | static_cast<unsigned>(high[row]) << 8);
+      whole[row] = unfolded(code);
+    }
+    if (head.differences)
+      for (int row = 3; row < kRows; ++row) whole[row] = static_cast<std::int16_t>(whole[row] + whole[before(row)]);
+    for (int row = 0; row < kRows; ++row) values[row] = whole[row];
+    halvesFromFloats(values, halves, kRows);  // exact up to 2048 steps
+    for (int row = 0; row < kRows; ++row) block.halves[static_cast<std::size_t>(row) * block.pad + k] = halves[row];
+  }
+  return true;
+}
+
+void expandBlock(const StoreGeometry& g, const ReflectanceBlock& block, std::span<std::uint16_t> out) {
+  if (block.basis.empty()) {
+    std::copy(block.halves.begin(), block.halves.end(), out.begin());
+    return;
+  }
+  const int light_pad = g.lightPad();
+  std::vector<float> coefficients(block.pad), sum(light_pad);
+  std::vector<float> vectors(static_cast<std::size_t>(block.pad) * light_pad, 0.f);  // [k][light]
+  for (int k = 0; k < block.pad; ++k)
+    for (int j = 0; j < g.light_count; ++j)
+      vectors[static_cast<std::size_t>(k) * light_pad + j] = block.basis[static_cast<std::size_t>(j) * block.pad + k];
+  for (int row = 0; row < kRows; ++row) {
+    floatsFromHalves(block.halves.data() + static_cast<std::size_t>(row) * block.pad, coefficients.data(), block.pad);
+    std::fill(sum.begin(), sum.end(), 0.f);
+    for (int k = 0; k < block.pad; ++k) {
+      if (coefficients[k] == 0) continue;
+      const float* vector = vectors.data() + static_cast<std::size_t>(k) * light_pad;
+      for (int j = 0; j < light_pad; ++j) sum[j] += coefficients[k] * vector[j];
+    }
+    for (float& value : sum) value = std::clamp(value, 0.f, 65504.f);
+    halvesFromFloats(sum.data(), out.data() + static_cast<std::size_t>(row) * light_pad, light_pad);
+  }
+}
+
+}  // namespace srf
