@@ -12,6 +12,7 @@
 #include "base/image_io.h"
 #include "base/mesh_io.h"
 #include "field/capture_file.h"
+#include "field/reflectance_store.h"
 #include "field/srf_folder.h"
 #include "model/deformable_model.h"
 #include "render/scene.h"
@@ -63,6 +64,36 @@ Json meshInfo(const AcquisitionMesh& mesh) {
   return info;
 }
 
+// What the stores' compression saved and lost.
+Json compressionInfo(const fs::path& folder, const SrfManifest& field) {
+  static constexpr const char* kNames[] = {"none", "lossless", "pca"};
+  std::set<std::string> used;
+  double halves = 0, stored = 0, squares = 0, most = 0, largest = 0;
+  std::size_t views = 0;
+  for (const StoredView& view : field.views) {
+    if (view.file.empty()) continue;
+    const ReflectanceStore store(folder / view.file);
+    const StoreFidelity& fidelity = store.fidelity();
+    used.insert(kNames[std::min<std::size_t>(static_cast<std::size_t>(fidelity.compression), 2)]);
+    std::size_t covered = 0;
+    for (int y = 0; y < store.coverage().height(); ++y)
+      for (int x = 0; x < store.coverage().width(); ++x) covered += store.coverage().at(x, y) > 0;
+    halves += static_cast<double>(covered) * 3 * sizeof(std::uint16_t) * store.geometry().light_count;
+    stored += static_cast<double>(store.bytesOnDisk());
+    squares += fidelity.relative_error * fidelity.relative_error;
+    most = std::max(most, fidelity.relative_error), largest = std::max(largest, fidelity.largest_error);
+    ++views;
+  }
+  Json info;
+  if (views == 0) return info;
+  info["kind"] = used;
+  info["ratio_to_halves"] = halves / stored;
+  info["relative_error"] = std::sqrt(squares / static_cast<double>(views));
+  info["relative_error_of_worst_view"] = most;
+  info["largest_error"] = largest;
+  return info;
+}
+
 Json srfInfo(const fs::path& folder) {
   const SrfManifest field = readManifest(folder);
   Json info;
@@ -94,6 +125,7 @@ Json srfInfo(const fs::path& folder) {
                    {"silhouette_only", silhouettes_only},
                    {"light_sets", light_sets.size()},
                    {"bytes", bytes},
+                   {"compression", compressionInfo(folder, field)},
                    {"each", std::move(views)}};
   for (const StoredFile& shape : field.shapes) {
     info["shapes"][shape.name] = meshInfo(readMesh(folder / shape.file));

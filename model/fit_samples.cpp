@@ -198,6 +198,8 @@ void FitSamples::gather(const SrfManifest& field, const DeformableModel& model, 
         if (fetch.tap[t] > 0) needed[(fetch.y + t / 2) / kTile * g.tiles_x + (fetch.x + t % 2) / kTile] = 1;
       rows[std::max(fetch.y, 0) / kTile].push_back({fetch, rank});
     }
+    // A plateau is one of equal values; a basis does not keep them, so such a store remembers it.
+    const bool keeps_values = store.fidelity().compression != Compression::pca;
     // Two rows of tiles at a time: a fetch reaches at most one texel down.
     std::array<std::vector<std::uint16_t>, 2> window;
     for (auto& row : window) row.resize(g.blockHalves() * g.tiles_x);
@@ -208,6 +210,7 @@ void FitSamples::gather(const SrfManifest& field, const DeformableModel& model, 
         const auto block = std::span(window[row % 2]).subspan(g.blockHalves() * x, g.blockHalves());
         store.readTile(x, row, block);
         ++seen[v].blocks;
+        if (!keeps_values) continue;
         std::uint16_t highest = 0;
         for (const std::uint16_t value : block) highest = std::max(highest, value);
         if (highest < seen[v].highest) continue;
@@ -215,6 +218,10 @@ void FitSamples::gather(const SrfManifest& field, const DeformableModel& model, 
         seen[v].times += std::count(block.begin(), block.end(), highest);
       }
     };
+    if (!keeps_values) {
+      seen[v].highest = store.fidelity().highest;
+      seen[v].times = store.fidelity().highest_count;
+    }
     std::vector<float> sum(3 * static_cast<std::size_t>(g.lightPad()));
     const int pad = pad_[v];
     decode(0);
