@@ -23,13 +23,16 @@ struct Pattern {
 Pattern parsePattern(const std::string& text) {
   const auto wrong = [&](const std::string& what) {
     return Error(ErrorKind::usage,
-                 what + "; expected a path like \"v{view}/l{light}_{exposure}.jpg\" with {view}, {light} and "
-                        "{exposure} at most once each",
+                 what + "; expected a path like \"v{view}/l{light}_{exposure}.jpg\" with {camera}, {view}, "
+                        "{light} and {exposure} at most once each",
                  "pattern \"" + text + "\"");
   };
   if (text.empty()) throw wrong("is empty");
   static const std::map<std::string, std::string ShootPhoto::*> kFields{
-      {"view", &ShootPhoto::view}, {"light", &ShootPhoto::light}, {"exposure", &ShootPhoto::exposure}};
+      {"view", &ShootPhoto::view},
+      {"light", &ShootPhoto::light},
+      {"exposure", &ShootPhoto::exposure},
+      {"camera", &ShootPhoto::camera}};
   Pattern pattern;
   std::string expression;
   for (std::size_t i = 0; i < text.size(); ++i) {
@@ -133,7 +136,7 @@ std::vector<ShootPhoto> findPhotos(const fs::path& folder, const std::string& pa
       if (unlike.empty()) unlike = name;
       continue;
     }
-    ShootPhoto photo{folder / name, "", "", ""};
+    ShootPhoto photo{folder / name, "", "", "", ""};
     for (std::size_t k = 0; k < pattern.fields.size(); ++k) photo.*pattern.fields[k] = match[k + 1];
     photos.push_back(photo);
   }
@@ -142,6 +145,7 @@ std::vector<ShootPhoto> findPhotos(const fs::path& folder, const std::string& pa
                    "has no photograph that fits \"" + pattern_text + "\"" +
                        (unlike.empty() ? "; it holds no image at all" : "; it holds for example '" + unlike + "'"));
   const auto before = [](const ShootPhoto& a, const ShootPhoto& b) {
+    if (a.camera != b.camera) return naturallyBefore(a.camera, b.camera);
     if (a.view != b.view) return naturallyBefore(a.view, b.view);
     if (a.light != b.light) return naturallyBefore(a.light, b.light);
     return naturallyBefore(a.exposure, b.exposure);
@@ -149,7 +153,7 @@ std::vector<ShootPhoto> findPhotos(const fs::path& folder, const std::string& pa
   std::stable_sort(photos.begin(), photos.end(), before);
   for (std::size_t i = 1; i < photos.size(); ++i) {
     const ShootPhoto &a = photos[i - 1], &b = photos[i];
-    if (a.view == b.view && a.light == b.light && a.exposure == b.exposure)
+    if (a.camera == b.camera && a.view == b.view && a.light == b.light && a.exposure == b.exposure)
       throw badInput(b.file.string(), "is the same view '" + b.view + "', light '" + b.light + "' and exposure '" +
                                           b.exposure + "' as " + a.file.string() + "; give \"" + pattern_text +
                                           "\" the field that tells them apart");

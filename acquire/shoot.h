@@ -12,11 +12,12 @@ namespace srf {
 /// One photograph; fields that the pattern does not have are empty.
 struct ShootPhoto {
   std::filesystem::path file;
-  std::string view, light, exposure;
+  std::string view, light, exposure, camera;
 };
 
 /// The photographs of `folder` whose path below it fits `pattern`, in natural order of view, light and exposure
-/// ("l2" before "l10"). The pattern is a path with '/' between folders; {view}, {light} and {exposure} each stand for
+/// ("l2" before "l10"), camera before all. The pattern is a path with '/' between folders; {camera}, {view}, {light} and
+/// {exposure} each stand for
 /// one or more characters other than '/', * for any number of them. A pattern that ends in ".*" takes every image
 /// format. Throws usage for a pattern that is none, bad_input where nothing fits (naming a file that does not) or where
 /// two files are the same view, light and exposure.

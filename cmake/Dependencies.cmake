@@ -5,7 +5,8 @@ find_package(OpenEXR 3.1 REQUIRED)              # frames and layers (base/image_
 find_package(OpenImageIO 2.4 REQUIRED)          # photographs (base/image_io.cpp); its config needs openimageio-tools
 find_package(nlohmann_json 3.11 REQUIRED)       # JSON (base/json.cpp)
 find_package(CLI11 2.1 REQUIRED)                # command lines (apps/)
-find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc photo)  # silhouettes, distance maps; camera response (acquire/)
+# Silhouettes, distance maps; camera response; boards and lenses (aruco: libopencv-contrib-dev) (acquire/).
+find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc photo calib3d aruco)
 find_package(Eigen3 3.4 CONFIG REQUIRED)        # before CGAL, whose own FindEigen3 hides the config
 find_package(CGAL 5.5 REQUIRED)                 # point clouds, mesh repair (acquire/shape_import.cpp); GPL-3.0-or-later
 find_package(PkgConfig REQUIRED)

@@ -9,14 +9,14 @@ packages=(
   libembree-dev libtbb-dev
   # pictures; OpenImageIO's CMake files ask for its tools
   libopenexr-dev libopenimageio-dev openimageio-tools
-  # silhouettes; point clouds and meshes
-  libopencv-dev libeigen3-dev libcgal-dev
+  # silhouettes, lenses, ChArUco boards; point clouds and meshes
+  libopencv-dev libopencv-contrib-dev libeigen3-dev libcgal-dev
   # JSON, command lines, compression, checksums
   nlohmann-json3-dev libcli11-dev libzstd-dev libxxhash-dev
   # tests and benchmarks
   libgtest-dev librapidcheck-dev libbenchmark-dev
-  # videos
-  ffmpeg
+  # videos; structure from motion, both run as programs
+  ffmpeg colmap
 )
 
 missing=()

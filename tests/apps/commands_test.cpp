@@ -29,7 +29,7 @@ namespace fs = std::filesystem;
 using Words = std::vector<std::string>;
 
 const std::string kSrf = std::string(SRF_PROGRAMS) + "/srf";
-const Words kCommands{"synth", "check", "acquire", "model", "render", "explain", "pipeline", "info", "compare"};
+const Words kCommands{"synth", "calibrate", "check", "acquire", "model", "render", "explain", "pipeline", "info", "compare"};
 
 struct Outcome {
   int code = -1;  ///< 128 + signal where one ended it

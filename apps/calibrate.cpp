@@ -1,0 +1,573 @@
+// `srf calibrate`: photographs to a capture's cameras and lights; a calibration board to print.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "acquire/board.h"
+#include "acquire/calibration_report.h"
+#include "acquire/camera_calibration.h"
+#include "acquire/camera_import.h"
+#include "acquire/shoot.h"
+#include "apps/program.h"
+#include "base/error.h"
+#include "base/numeric.h"
+#include "base/parallel.h"
+#include "field/capture_file.h"
+#include "field/capture_json.h"
+
+namespace srf {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Job {
+  fs::path photos, output, board_photos, lens_from, lights, print_board;
+  std::string pattern, board_pattern, board, units = "m", world;
+  std::vector<std::string> cameras, leave_out;
+  CameraModel lens = CameraModel::opencv;
+  bool rig = false, turntable = false, copy = false;
+  std::optional<double> step;  ///< degrees
+};
+
+Error usage(const std::string& what) {
+  return {ErrorKind::usage, what};
+}
+
+std::string text(const char* format, auto... values) {
+  char line[512];
+  std::snprintf(line, sizeof line, format, values...);
+  return line;
+}
+
+// ---- Which photographs there are
+
+/// "{view}.*", or "{camera}/{view}.*" where the photographs lie in folders.
+std::string defaultPattern(const fs::path& folder) {
+  std::error_code code;
+  for (const auto& entry : fs::directory_iterator(folder, code))
+    if (entry.is_regular_file(code) && entry.path().has_extension() && entry.path().extension() != ".txt" &&
+        entry.path().extension() != ".json" && entry.path().extension() != ".md")
+      return "{view}.*";
+  return "{camera}/{view}.*";
+}
+
+/// The photographs of a folder but for those left out; with --camera NAME=PATTERN, of every such pattern.
+std::vector<ShootPhoto> photographs(const Job& job, const fs::path& folder, const std::string& pattern,
+                                    std::set<std::string>& left_out) {
+  std::vector<ShootPhoto> all;
+  for (const std::string& camera : job.cameras) {
+    const std::size_t equals = camera.find('=');
+    if (equals == std::string::npos || equals == 0)
+      throw usage("--camera '" + camera + "': expected NAME=PATTERN, e.g. left=left{view}.jpg");
+    for (ShootPhoto& photo : findPhotos(folder, camera.substr(equals + 1))) {
+      photo.camera = camera.substr(0, equals);
+      all.push_back(std::move(photo));
+    }
+  }
+  if (job.cameras.empty()) all = findPhotos(folder, pattern.empty() ? defaultPattern(folder) : pattern);
+  std::vector<ShootPhoto> kept;
+  for (ShootPhoto& photo : all) {
+    const fs::path relative = photo.file.lexically_relative(folder);
+    const auto named = std::find_if(job.leave_out.begin(), job.leave_out.end(), [&](const std::string& name) {
+      return relative == name || photo.file.filename() == name || photo.file.stem() == name ||
+             fs::path(relative).replace_extension() == name;
+    });
+    if (photo.camera.empty()) photo.camera = "camera";
+    if (named == job.leave_out.end())
+      kept.push_back(std::move(photo));
+    else
+      left_out.insert(*named);
+  }
+  if (kept.empty()) throw badInput(folder.string(), "every photograph is left out; name fewer with --leave-out");
+  return kept;
+}
+
+/// The place of a turntable in a name: its last number, e.g. 7 of "stop_007". Nothing where it has none.
+std::optional<double> lastNumber(const std::string& name) {
+  const std::size_t end = name.find_last_of("0123456789");
+  if (end == std::string::npos) return std::nullopt;
+  std::size_t begin = end;
+  while (begin > 0 && std::isdigit(static_cast<unsigned char>(name[begin - 1])) && end - begin < 14) --begin;
+  return std::stod(name.substr(begin, end + 1 - begin));
+}
+
+/// Stops of the photographs by view: numbers of the names less the least, or the order where a name has none.
+std::map<std::string, double> stopsOf(const std::vector<ShootPhoto>& photos) {
+  std::map<std::string, double> stops;
+  std::vector<std::string> names;
+  for (const ShootPhoto& photo : photos)
+    if (std::find(names.begin(), names.end(), photo.view) == names.end()) names.push_back(photo.view);
+  std::sort(names.begin(), names.end(), naturallyBefore);
+  bool numbered = true;
+  double least = INFINITY;
+  std::set<double> taken;
+  for (const std::string& name : names) {
+    const auto number = lastNumber(name);
+    numbered = numbered && number && taken.insert(*number).second;
+    if (number) least = std::min(least, *number);
+  }
+  for (std::size_t i = 0; i < names.size(); ++i)
+    stops[names[i]] = numbered ? *lastNumber(names[i]) - least : static_cast<double>(i);
+  return stops;
+}
+
+// ---- The board in them
+
+struct Sightings {
+  BoardCalibrationInput input;
+  std::vector<std::string> without;  ///< photographs that do not show the board
+};
+
+std::size_t indexIn(std::vector<std::string>& names, const std::string& name) {
+  const auto at = std::find(names.begin(), names.end(), name);
+  if (at != names.end()) return static_cast<std::size_t>(at - names.begin());
+  names.push_back(name);
+  return names.size() - 1;
+}
+
+double unitInMillimetres(const std::string& unit) {
+  if (unit == "m") return 1000;
+  if (unit == "cm") return 10;
+  if (unit == "mm") return 1;
+  throw usage("--units '" + unit + "': expected m, cm or mm");
+}
+
+Sightings findBoards(const Job& job, const Board& board, const fs::path& folder, const std::vector<ShootPhoto>& photos,
+                     bool shots_by_view, Reporter& reporter) {
+  Sightings out;
+  BoardCalibrationInput& input = out.input;
+  input.board = board;
+  input.millimetre = 1 / unitInMillimetres(job.units);
+  input.lens = job.lens;
+  std::vector<std::optional<BoardCorners>> corners(photos.size());
+  std::vector<ImageSize> sizes(photos.size());
+  Reporter::Stage stage(reporter, "boards", photos.size());
+  parallelFor(photos.size(), 1, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const Image8 grey = greyPhotograph(photos[i].file);
+      sizes[i] = {grey.width(), grey.height()};
+      corners[i] = findBoard(board, grey, photos[i].file);
+      stage.advance();
+    }
+  });
+  for (std::size_t i = 0; i < photos.size(); ++i) {
+    const ShootPhoto& photo = photos[i];
+    const std::string name = photo.file.lexically_relative(folder).generic_string();
+    if (!corners[i]) {
+      out.without.push_back(name);
+      continue;
+    }
+    BoardSighting s;
+    s.name = name;
+    s.file = photo.file;
+    s.camera = indexIn(input.cameras, photo.camera);
+    s.shot = indexIn(input.shots, shots_by_view ? photo.view : photo.view.empty() ? name : photo.view);
+    s.corners = std::move(*corners[i]);
+    if (s.camera == input.sizes.size()) input.sizes.push_back(sizes[i]);
+    const ImageSize& size = input.sizes[s.camera];
+    if (size.width != sizes[i].width || size.height != sizes[i].height)
+      throw badInput(photo.file.string(),
+                     text("is %d x %d, the other photographs of camera '%s' %d x %d; calibrate "
+                          "photographs of one size, none of them turned",
+                          sizes[i].width, sizes[i].height, photo.camera.c_str(), size.width, size.height));
+    input.sightings.push_back(std::move(s));
+  }
+  if (input.sightings.empty())
+    throw badInput(folder.string(), "none of " + std::to_string(photos.size()) + " photographs shows the board " +
+                                        board.text() +
+                                        ": a chessboard is given by its inner corners (a board of 10 x 7 squares is "
+                                        "9x6), a ChArUco board by its squares; all of a chessboard must be in sight");
+  return out;
+}
+
+/// Lenses of another capture's views, by the camera that the name of a view begins with, or its only lens.
+void holdLenses(const fs::path& file, BoardCalibrationInput& input) {
+  const Capture known = readCapture(file);
+  input.known_lens.resize(input.cameras.size());
+  for (std::size_t c = 0; c < input.cameras.size(); ++c) {
+    for (const CaptureView& view : known.views) {
+      const bool same = view.name == input.cameras[c] || view.name.starts_with(input.cameras[c] + "_");
+      if (same || known.views.front().camera.lens == known.views.back().camera.lens)
+        input.known_lens[c] = view.camera.lens;
+      if (same) break;
+    }
+    if (!input.known_lens[c])
+      throw badInput(file.string(), "has no view of camera '" + input.cameras[c] +
+                                        "'; name the cameras alike, or give a capture of one lens");
+    const Intrinsics& lens = *input.known_lens[c];
+    if (lens.width != input.sizes[c].width || lens.height != input.sizes[c].height)
+      throw badInput(file.string(),
+                     text("its lens is for %d x %d pixels, the photographs of camera '%s' have %d x %d", lens.width,
+                          lens.height, input.cameras[c].c_str(), input.sizes[c].width, input.sizes[c].height));
+  }
+}
+
+void tell(const BoardCalibrationInput& input, const BoardCalibration& found, const std::string& units,
+          Reporter& reporter) {
+  for (std::size_t c = 0; c < input.cameras.size(); ++c) {
+    const CalibratedCamera& camera = found.cameras[c];
+    const auto count = std::count_if(input.sightings.begin(), input.sightings.end(),
+                                     [&](const BoardSighting& s) { return s.camera == c; });
+    std::string line =
+        text("%s: %zd photographs, %zu corners, rms %.3f px", camera.name.c_str(), count, camera.corners, camera.rms);
+    for (const LensParameter& p : camera.parameters)
+      line += text(", %s %.6g +- %.2g", p.name.c_str(), p.value, p.deviation);
+    reporter.result(line);
+    reporter.figure("calibrate.rms." + camera.name, camera.rms);
+  }
+  if (found.turntable) {
+    const TurntableFit& t = *found.turntable;
+    std::string line = text("turntable: step %.5g degrees", degrees(t.step));
+    if (!t.free_step) line += text(" +- %.2g", degrees(t.step_deviation));
+    line +=
+        text(", axis known to %.2g degrees and %.2g %s", degrees(t.axis_deviation), t.point_deviation, units.c_str());
+    reporter.result(line);
+    if (t.free_step && std::fabs(*t.free_step - t.step) > 3 * t.free_step_deviation)
+      reporter.warn(
+          text("turntable: the step is given as %.6g degrees and the board's photographs say %.6g +- %.2g; "
+               "leave --step out to take theirs",
+               degrees(t.step), degrees(*t.free_step), degrees(t.free_step_deviation)));
+  }
+  if (!found.converged) reporter.warn("the calibration did not converge; photograph the board from more sides");
+  std::vector<double> rms;
+  for (const SightingResidual& r : found.residuals) rms.push_back(r.rms);
+  std::nth_element(rms.begin(), rms.begin() + static_cast<std::ptrdiff_t>(rms.size() / 2), rms.end());
+  for (std::size_t i = 0; i < input.sightings.size(); ++i)
+    if (found.residuals[i].stands_out)
+      reporter.warn(
+          text("%s: its rms of %.3g px stands out, the middle one is %.3g px; look at its picture, and leave "
+               "it out with --leave-out %s if the board moved or is blurred",
+               input.sightings[i].name.c_str(), found.residuals[i].rms, rms[rms.size() / 2],
+               input.sightings[i].name.c_str()));
+}
+
+void writeReport(const Job& job, const BoardCalibrationInput& input, const BoardCalibration& found,
+                 const std::vector<std::string>& without, Reporter& reporter) {
+  const fs::path folder = job.output / "calibration";
+  const double exaggeration = residualExaggeration(found);
+  Reporter::Stage stage(reporter, "pictures", input.sightings.size());
+  parallelFor(input.sightings.size(), 1, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const BoardSighting& s = input.sightings[i];
+      std::string name = s.name;
+      std::replace(name.begin(), name.end(), '/', '_');
+      writePng(folder / (name + ".png"), residualPicture(greyPhotograph(s.file), s, found.residuals[i], exaggeration));
+      stage.advance();
+    }
+  });
+  Json json = calibrationJson(input, found, job.units);
+  json["photographs_without_board"] = without;
+  json["left_out"] = job.leave_out;
+  json["picture_exaggeration"] = exaggeration;
+  writeJsonFile(folder / "calibration.json", json);
+}
+
+// ---- The capture
+
+using CapturePose = Rigid<AcquisitionSpace, CameraSpace>;
+
+/// A view of the capture, before its photographs.
+struct PlacedView {
+  std::string name, camera, view;  ///< camera and view as the shoot names them; an empty view stands for every one
+  Camera<AcquisitionSpace> camera_at;
+  double turn = 0;  ///< radians that a turntable has turned the object about +z since the lights were measured
+};
+
+Camera<AcquisitionSpace> placed(const Intrinsics& lens, const Mat3& rotation, const Vec3& center) {
+  return {lens, CapturePose(Orthogonal<AcquisitionSpace, CameraSpace>(rotation), Point<AcquisitionSpace>(center))};
+}
+
+/// Camera `c` as it stood in shot `s`, in the space of the board then.
+Camera<AcquisitionSpace> cameraOverBoard(const BoardCalibration& found, std::size_t c, std::size_t s) {
+  const CalibratedCamera& camera = found.cameras[c];
+  return placed(camera.lens, (found.shots[s].pose.rotation() * camera.pose.rotation()).raw(),
+                (found.shots[s].pose * camera.pose.origin()).raw());
+}
+
+/// A camera that went round a board that lay still: acquisition space is the board's.
+std::vector<PlacedView> placeByBoard(const BoardCalibrationInput& input, const BoardCalibration& found) {
+  std::vector<PlacedView> views;
+  for (const BoardSighting& s : input.sightings)
+    views.push_back({fs::path(s.name).replace_extension().generic_string(), input.cameras[s.camera],
+                     input.shots[s.shot], cameraOverBoard(found, s.camera, s.shot)});
+  return views;
+}
+
+/// Cameras that stand still: acquisition space is the board's in the shot `world`, else in the first that the most
+/// cameras see.
+std::vector<PlacedView> placeRig(const Job& job, const BoardCalibrationInput& input, const BoardCalibration& found,
+                                 bool photos_of_the_board, Reporter& reporter) {
+  std::vector<std::size_t> seen(input.shots.size());
+  for (const BoardSighting& s : input.sightings) ++seen[s.shot];
+  auto world = static_cast<std::size_t>(std::max_element(seen.begin(), seen.end()) - seen.begin());
+  if (!job.world.empty()) {
+    const auto at = std::find(input.shots.begin(), input.shots.end(), job.world);
+    if (at == input.shots.end())
+      throw usage("--world '" + job.world + "': no shot of that name shows the board; the first is '" + input.shots[0] +
+                  "'");
+    world = static_cast<std::size_t>(at - input.shots.begin());
+  }
+  reporter.result("acquisition space is that of the board in shot '" + input.shots[world] + "'");
+  std::vector<PlacedView> views;
+  for (std::size_t c = 0; c < input.cameras.size(); ++c)
+    views.push_back({input.cameras[c], input.cameras[c], photos_of_the_board ? input.shots[world] : "",
+                     cameraOverBoard(found, c, world)});
+  return views;
+}
+
+/// Each stop of a turntable is a view; acquisition space turns with the table: z is its axis, x points to the first
+/// camera at stop 0, the origin lies in the board's plane, or next to the board's centre where the board stands
+/// upright.
+std::vector<PlacedView> placeTurntable(const BoardCalibrationInput& input, const BoardCalibration& found,
+                                       const std::vector<ShootPhoto>& photos) {
+  const TurntableFit& table = *found.turntable;
+  const Vec3 z = table.axis.raw(), point = table.point.raw();
+  const double along = std::fabs(z.z) > 0.5 ? -point.z / z.z : -dot(point, z);
+  const Vec3 origin = point + along * z;
+  const Vec3 to_camera = found.cameras[0].pose.origin().raw() - origin;
+  const Vec3 across = to_camera - dot(to_camera, z) * z;
+  const Vec3 x = length(across) > 1e-6 * length(to_camera) ? across / length(across)
+                                                           : anyPerpendicular(Direction<BoardSpace>::fromUnit(z)).raw();
+  const Mat3 table_from_room{{x, cross(z, x), z}};
+  const auto stops = stopsOf(photos);
+  std::vector<PlacedView> views;
+  for (std::size_t c = 0; c < input.cameras.size(); ++c) {
+    const Mat3 rotation = table_from_room * found.cameras[c].pose.rotation().raw();
+    const Vec3 center = table_from_room * (found.cameras[c].pose.origin().raw() - origin);
+    for (const auto& [view, stop] : stops) {
+      const double turn = table.step * stop;
+      const Mat3 back = rotationAbout({0, 0, 1}, -turn);
+      const std::string name = input.cameras.size() == 1 ? view : input.cameras[c] + "_" + view;
+      views.push_back(
+          {name, input.cameras[c], view, placed(found.cameras[c].lens, back * rotation, back * center), turn});
+    }
+  }
+  return views;
+}
+
+std::vector<CaptureLight> readLights(const fs::path& file) {
+  const JsonNode root = readJsonFile(file);
+  std::vector<CaptureLight> lights;
+  const JsonNode list = root["lights"];
+  for (std::size_t i = 0; i < list.size(); ++i) lights.push_back(readLight(list.at(i)));
+  return lights;
+}
+
+/// The light as an object on a turntable meets it: turned back about +z.
+CaptureLight turnedBack(const CaptureLight& light, double turn, const std::string& view) {
+  const Mat3 back = rotationAbout({0, 0, 1}, -turn);
+  CaptureLight out = light;
+  out.name = view + "/" + light.name;
+  out.direction = Direction<AcquisitionSpace>::fromUnit(back * light.direction.raw());
+  out.position = Point<AcquisitionSpace>(back * light.position.raw());
+  return out;
+}
+
+/// Views with their photographs and lights. `lights` stand still in the room; each stop of a turntable has its own in
+/// the object's frame.
+Capture assemble(const Job& job, const std::vector<PlacedView>& placed_views, const std::vector<ShootPhoto>& photos,
+                 const std::vector<CaptureLight>& lights, Reporter& reporter) {
+  Capture capture;
+  capture.folder = job.output;
+  capture.units = job.units;
+  capture.lights = lights;
+  const bool turns = job.turntable && !lights.empty();
+  if (lights.empty()) capture.lights = {{.name = "captured", .kind = LightKind::captured}};
+  if (turns) capture.lights.clear();
+  std::vector<bool> used(photos.size(), false);
+  std::set<std::string> unknown_lights;
+  for (const PlacedView& place : placed_views) {
+    CaptureView view;
+    view.name = place.name;
+    view.camera = place.camera_at;
+    for (std::size_t i = 0; i < photos.size(); ++i) {
+      const ShootPhoto& photo = photos[i];
+      if (photo.camera != place.camera || (!place.view.empty() && photo.view != place.view)) continue;
+      used[i] = true;
+      Photo entry{photo.file, std::nullopt};
+      if (lights.empty()) {
+        entry.light = LightId{0};
+      } else if (!photo.light.empty() || lights.size() == 1) {
+        const auto at = std::find_if(lights.begin(), lights.end(), [&](const CaptureLight& l) {
+          return l.name == photo.light || lights.size() == 1;
+        });
+        if (at == lights.end()) {
+          unknown_lights.insert(photo.light);
+          continue;
+        }
+        if (turns) capture.lights.push_back(turnedBack(*at, place.turn, place.name));
+        entry.light = LightId{static_cast<std::uint32_t>(turns ? capture.lights.size() - 1
+                                                               : static_cast<std::size_t>(at - lights.begin()))};
+      }
+      view.photos.push_back(std::move(entry));
+    }
+    if (lights.empty() && view.photos.size() > 1)
+      throw badInput(
+          view.photos[1].file.string(),
+          "is a second photograph of view '" + view.name + "' beside " + view.photos[0].file.string() +
+              ", and nothing says how they were lit: give the lights, with {light} in --photos, or leave one "
+              "out");
+    if (!view.photos.empty()) capture.views.push_back(std::move(view));
+  }
+  if (!unknown_lights.empty())
+    reporter.warn("photographs under " + std::to_string(unknown_lights.size()) + " lights that the table lacks ('" +
+                  *unknown_lights.begin() + "') are left out of the capture");
+  const auto unused = std::count(used.begin(), used.end(), false);
+  if (unused > 0)
+    reporter.warn(
+        std::to_string(unused) + " photographs have no view in the capture, the first is " +
+        photos[static_cast<std::size_t>(std::find(used.begin(), used.end(), false) - used.begin())].file.string());
+  // A light of the table that no photograph shows has no place in a capture.
+  if (!turns && !lights.empty()) {
+    std::vector<std::optional<std::uint32_t>> renumbered(lights.size());
+    std::vector<CaptureLight> kept;
+    for (CaptureView& view : capture.views)
+      for (Photo& photo : view.photos) {
+        if (!photo.light) continue;
+        auto& number = renumbered[photo.light->value];
+        if (!number) number = static_cast<std::uint32_t>(kept.size()), kept.push_back(lights[photo.light->value]);
+        photo.light = LightId{*number};
+      }
+    if (kept.size() < lights.size())
+      reporter.warn(std::to_string(lights.size() - kept.size()) + " lights of the table light no photograph");
+    capture.lights = kept;
+  }
+  if (capture.views.empty())
+    throw badInput(job.photos.string(),
+                   "no photograph belongs to a calibrated camera; name the cameras of both folders alike");
+  return capture;
+}
+
+/// With --copy the photographs lie in the capture, else it refers to where they are.
+void writeResult(const Job& job, const fs::path& root, Capture& capture, Reporter& reporter) {
+  std::size_t photos = 0;
+  for (CaptureView& view : capture.views)
+    for (Photo& photo : view.photos) {
+      ++photos;
+      if (!job.copy) continue;
+      const fs::path to = job.output / "images" / photo.file.lexically_relative(root);
+      std::error_code code;
+      fs::create_directories(to.parent_path(), code);
+      fs::copy_file(photo.file, to, fs::copy_options::overwrite_existing, code);
+      if (code)
+        throw Error(ErrorKind::failed, "could not be copied to " + to.string() + ": " + code.message(),
+                    photo.file.string());
+      photo.file = to;
+    }
+  writeCapture(job.output, capture);
+  reporter.result(text("%s: %zu views, %zu photographs %s", (job.output / "transforms.json").c_str(),
+                       capture.views.size(), photos,
+                       job.copy ? "copied into images/" : "referred to where they lie (--copy copies them)"));
+}
+
+// ---- The ways
+
+void calibrateByBoard(const Job& job, Reporter& reporter) {
+  const Board board = parseBoard(job.board);
+  const bool apart = !job.board_photos.empty();
+  std::set<std::string> left_out;
+  const std::vector<ShootPhoto> photos = photographs(job, job.photos, job.pattern, left_out);
+  const std::vector<ShootPhoto> of_board =
+      apart ? photographs(job, job.board_photos, job.board_pattern, left_out) : photos;
+  for (const std::string& name : job.leave_out)
+    if (!left_out.contains(name)) throw usage("--leave-out '" + name + "': no photograph has that name");
+  const bool still = job.rig || job.turntable || apart;  // the cameras stand still, the board moves
+  const fs::path board_folder = apart ? job.board_photos : job.photos;
+  Sightings sightings = findBoards(job, board, board_folder, of_board, still, reporter);
+  reporter.result(text("%s found in %zu of %zu photographs", board.text().c_str(), sightings.input.sightings.size(),
+                       of_board.size()));
+  if (!sightings.without.empty())
+    reporter.warn(std::to_string(sightings.without.size()) + " photographs do not show the board, the first is " +
+                  sightings.without.front());
+
+  BoardCalibrationInput& input = sightings.input;
+  if (!job.lens_from.empty()) holdLenses(job.lens_from, input);
+  if (job.turntable) {
+    input.turntable.emplace();
+    const auto stops = stopsOf(of_board);
+    for (const std::string& shot : input.shots) input.turntable->stops.push_back(stops.at(shot));
+    if (job.step) input.turntable->step = radians(*job.step);
+  }
+  const BoardCalibration found = calibrateWithBoard(input);
+  tell(input, found, job.units, reporter);
+  writeReport(job, input, found, sightings.without, reporter);
+
+  const std::vector<PlacedView> views = job.turntable ? placeTurntable(input, found, photos)
+                                        : still       ? placeRig(job, input, found, !apart, reporter)
+                                                      : placeByBoard(input, found);
+  const std::vector<CaptureLight> lights = job.lights.empty() ? std::vector<CaptureLight>{} : readLights(job.lights);
+  Capture capture = assemble(job, views, photos, lights, reporter);
+  writeResult(job, job.photos, capture, reporter);
+}
+
+int run(int argc, char** argv) {
+  Program program("calibrate",
+                  "From photographs to a capture: cameras (lens and pose) and lights. doc/calibration.md "
+                  "tells how to photograph for it.");
+  CLI::App& app = program.app();
+  Job job;
+  CLI::Option* print = app.add_option("--print-board", job.print_board,
+                                      "write the board of --board as .svg or .pdf to print, and do nothing else");
+  app.add_option("PHOTOS", job.photos, "folder of photographs of the object");
+  app.add_option("-o,--output", job.output, "folder of the capture");
+  app.add_option("--photos", job.pattern,
+                 "what their paths say: {camera}, {view}, {light}, e.g. \"{camera}/{view}_{light}.jpg\"; default "
+                 "{view}.*, or {camera}/{view}.* where there are folders");
+  app.add_option("--camera", job.cameras, "NAME=PATTERN, once a camera, in place of --photos: left=left{view}.jpg");
+  app.add_option("--board", job.board,
+                 "inner corners and square of a chessboard, 9x6:25mm, or charuco:8x11:20mm:15mm:5X5_100 (squares, "
+                 "square, marker, dictionary)");
+  app.add_option(
+      "--board-photos", job.board_photos,
+      "folder of the board's photographs, by cameras that then stood still; default: the board lies in PHOTOS");
+  app.add_option("--board-pattern", job.board_pattern, "as --photos, for the board's photographs");
+  app.add_flag("--rig", job.rig, "the cameras stand still and the board moves: {view} names its moments");
+  app.add_flag("--turntable", job.turntable, "the board lies on a turntable; the last number in {view} is the stop");
+  app.add_option("--step", job.step,
+                 "degrees from stop to stop where known, counter-clockwise from above is positive; default: fitted");
+  app.add_option("--world", job.world,
+                 "rig: the shot whose board is the origin; default: the one that most cameras see");
+  static const std::map<std::string, CameraModel> kLenses{{"pinhole", CameraModel::pinhole},
+                                                          {"simple_radial", CameraModel::simple_radial},
+                                                          {"opencv", CameraModel::opencv}};
+  app.add_option_function<std::string>(
+         "--lens", [&](const std::string& word) { job.lens = kLenses.at(word); },
+         "lens to fit: pinhole, simple_radial (k1) or opencv (k1 k2 p1 p2 k3)")
+      ->check(CLI::IsMember({"pinhole", "simple_radial", "opencv"}))
+      ->default_str("opencv");
+  app.add_option("--lens-from", job.lens_from, "capture whose lenses are held in place of fitting them");
+  app.add_option(
+      "--lights", job.lights,
+      "JSON file with a list \"lights\" as in transforms.json, in acquisition space at a turntable's stop 0");
+  app.add_option("--units", job.units, "unit of the capture: m, cm or mm")->capture_default_str();
+  app.add_option("--leave-out", job.leave_out, "names of photographs to take no notice of");
+  app.add_flag("--copy", job.copy, "copy the photographs into the capture");
+
+  return program.run(argc, argv, [&](Reporter& reporter) {
+    if (*print) {
+      if (job.board.empty()) job.board = "charuco:8x11:20mm:15mm:5X5_100";
+      const Board board = parseBoard(job.board);
+      printBoard(board, job.print_board);
+      reporter.result(job.print_board.string() + ": print it at its true size and calibrate with --board " +
+                      board.text());
+      return;
+    }
+    if (job.photos.empty()) throw usage("no folder of photographs is given; see --help");
+    if (job.output.empty()) throw usage("-o names the folder of the capture; it is missing");
+    if (job.board.empty()) throw usage("no way is given: --board; see --help");
+    if (job.step && !job.turntable) throw usage("--step needs --turntable");
+    if (job.rig && job.turntable)
+      throw usage("--rig and --turntable exclude each other: a turntable's cameras are a rig");
+    calibrateByBoard(job, reporter);
+  });
+}
+
+}  // namespace
+}  // namespace srf
+
+int main(int argc, char** argv) {
+  return srf::run(argc, argv);
+}
