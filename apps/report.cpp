@@ -1,10 +1,9 @@
 #include "apps/report.h"
 
 #include <algorithm>
-#include <cstdarg>
-#include <cstdio>
 #include <set>
 
+#include "apps/html.h"
 #include "apps/program.h"
 #include "base/files.h"
 #include "base/numeric.h"
@@ -12,58 +11,13 @@
 namespace srf {
 namespace {
 
-std::string format(const char* pattern, ...) __attribute__((format(printf, 1, 2)));
-std::string format(const char* pattern, ...) {
-  char text[512];
-  va_list values;
-  va_start(values, pattern);
-  std::vsnprintf(text, sizeof text, pattern, values);
-  va_end(values);
-  return text;
-}
-
-std::string escaped(const std::string& text) {
-  std::string out;
-  for (const char c : text) {
-    if (c == '&')
-      out += "&amp;";
-    else if (c == '<')
-      out += "&lt;";
-    else if (c == '>')
-      out += "&gt;";
-    else if (c == '"')
-      out += "&quot;";
-    else
-      out += c;
-  }
-  return out;
-}
-
-std::string base64(const std::vector<std::byte>& bytes) {
-  static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string out;
-  out.reserve((bytes.size() + 2) / 3 * 4);
-  for (std::size_t i = 0; i < bytes.size(); i += 3) {
-    const std::size_t left = std::min<std::size_t>(3, bytes.size() - i);
-    std::uint32_t group = 0;
-    for (std::size_t k = 0; k < 3; ++k)
-      group = group << 8 | (k < left ? std::to_integer<std::uint32_t>(bytes[i + k]) : 0);
-    for (std::size_t k = 0; k < 4; ++k) out += k <= left ? kDigits[group >> (18 - 6 * k) & 63] : '=';
-  }
-  return out;
-}
+using html::base64;
+using html::escaped;
+using html::format;
 
 std::string viewName(const StoredView& view) {
   return escaped(view.name.substr(0, 60));
 }
-
-constexpr const char* kStyle = R"(
-body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:960px;margin:2em auto;padding:0 1em}
-h1{font-size:1.6em;margin-bottom:0}h2{font-size:1.15em;margin:2em 0 .3em;border-bottom:1px solid #ddd}
-p{margin:.4em 0}.note{color:#666}table{border-collapse:collapse}td,th{padding:.15em 1em .15em 0;text-align:left;vertical-align:top}
-td.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%;background:#000}svg{max-width:100%;height:auto}
-code{background:#f4f4f4;padding:0 .3em}.bar{background:#4a7ebb;height:.8em;min-width:1px}.warn{color:#a33}
-svg text{font:11px system-ui,sans-serif;fill:#555})";
 
 std::string row(const std::string& name, const std::string& value) {
   return "<tr><td>" + escaped(name) + "</td><td>" + escaped(value) + "</td></tr>\n";
@@ -158,49 +112,14 @@ std::string hullAgreement(const PipelineReport& report) {
          "view out.</p>\n";
 }
 
-// Lambert's azimuthal projection keeps areas, so an uneven spread looks uneven.
-struct HemisphereMap {
-  std::string svg[2];
-  std::set<std::pair<long, long>> taken[2];
-  static constexpr double kRadius = 190;
-
-  void add(const Vec3& direction, bool light) {
-    const int half = direction.z >= 0 ? 0 : 1;
-    const double in_plane = std::hypot(direction.x, direction.y);
-    const double r = kRadius * std::sqrt(std::max(0.0, 1 - std::fabs(direction.z)));
-    const double x = in_plane > 0 ? r * direction.x / in_plane : 0, y = in_plane > 0 ? -r * direction.y / in_plane : 0;
-    if (light && !taken[half].emplace(std::lround(x), std::lround(y)).second) return;
-    svg[half] += light ? format("<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"#e0a010\"/>\n", x, y)
-                       : format(
-                             "<rect x=\"%.1f\" y=\"%.1f\" width=\"6\" height=\"6\" fill=\"none\" stroke=\"#2a5d9f\" "
-                             "stroke-width=\"1.5\"/>\n",
-                             x - 3, y - 3);
-  }
-};
-
 std::string lightMap(const PipelineReport& report) {
   const Point<AcquisitionSpace> center = report.bounds.empty() ? Point<AcquisitionSpace>() : report.bounds.center();
-  HemisphereMap map;
+  html::HemisphereMap map;
   for (const CaptureLight& light : report.field.lights)
     if (light.kind != LightKind::captured) map.add(light.directionFrom(center).raw(), true);
   for (const StoredView& view : report.field.views) map.add(view.camera.viewDirection(center).raw(), false);
-  std::string out = "<h2>Where light and views came from</h2>\n<svg viewBox=\"0 0 900 440\" width=\"900\">\n";
-  for (int half = 0; half < 2; ++half) {
-    out += format(
-        "<g transform=\"translate(%d,215)\"><circle r=\"%g\" fill=\"#fafafa\" stroke=\"#bbb\"/>"
-        "<path d=\"M-%g 0H%gM0 -%gV%g\" stroke=\"#e4e4e4\"/>\n",
-        half ? 670 : 230, HemisphereMap::kRadius, HemisphereMap::kRadius, HemisphereMap::kRadius,
-        HemisphereMap::kRadius, HemisphereMap::kRadius);
-    for (const int degrees : {30, 60})
-      out += format("<circle r=\"%.1f\" fill=\"none\" stroke=\"#e4e4e4\"/>\n",
-                    HemisphereMap::kRadius * std::sqrt(1 - std::cos(radians(degrees))));
-    out += map.svg[half] + format(
-                               "<text x=\"%g\" y=\"4\">+x</text><text y=\"-%g\" text-anchor=\"middle\">+y</text>"
-                               "<text y=\"%g\" text-anchor=\"middle\">%s</text></g>\n",
-                               HemisphereMap::kRadius + 4, HemisphereMap::kRadius + 4, HemisphereMap::kRadius + 18,
-                               half ? "below: -z at the centre, seen through from above" : "above: +z at the centre");
-  }
-  out += "</svg>\n<p class=\"note\">Directions from the object's centre: ";
+  std::string out = "<h2>Where light and views came from</h2>\n" + map.svg();
+  out += "<p class=\"note\">Directions from the object's centre: ";
   out += report.field.unknownIllumination() ? "squares are views. The light of the photographs is unknown, so there is "
                                               "none to draw: this field can be lit as it was "
                                               "photographed alone."
@@ -281,7 +200,7 @@ std::string counters(const PipelineReport& report) {
 
 std::string reportPage(const PipelineReport& report) {
   return "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>" + escaped(report.field.source) +
-         ": reflectance field report</title><style>" + kStyle + "</style></head><body>\n<h1>" +
+         ": reflectance field report</title><style>" + html::kStyle + "</style></head><body>\n<h1>" +
          escaped(report.field.source) + "</h1>\n<p class=\"note\">" + escaped(report.scene.string()) + ", srf " +
          projectVersion() + "</p>\n<p><code>" + escaped(report.command) + "</code></p>\n" + summary(report) +
          frames(report) + warnings(report) + hullAgreement(report) + lightMap(report) + timings(report) +

@@ -61,7 +61,7 @@ struct SphereCapture {
   }
   CheckReport check() {
     writeCapture(folder.path(), capture);
-    return checkCapture(folder.path(), folder / "out", Reporter::silent());
+    return checkCapture(folder.path(), {}, Reporter::silent());
   }
 };
 
@@ -219,7 +219,7 @@ TEST(CaptureCheck, CamerasOfAnotherConventionAreRecognised) {
 TEST(CaptureCheck, ACaptureThatCannotBeReadIsOneFault) {
   const test::TemporaryFolder folder;
   writeTextFile(folder / "transforms.json", "{\"frames\": [}");
-  const CheckReport report = checkCapture(folder.path(), folder / "out", Reporter::silent());
+  const CheckReport report = checkCapture(folder.path(), {}, Reporter::silent());
   ASSERT_EQ(report.items.size(), 1u);
   EXPECT_EQ(report.items[0].verdict, Verdict::fault);
   EXPECT_NE(report.items[0].found.find("line 1"), std::string::npos);
@@ -237,7 +237,7 @@ TEST(CaptureCheck, AnInterruptEndsIt) {
   SphereCapture sphere;
   writeCapture(sphere.folder.path(), sphere.capture);
   setInterruptRequested(true);
-  EXPECT_THROW(checkCapture(sphere.folder.path(), sphere.folder.path(), Reporter::silent()), Error);
+  EXPECT_THROW(checkCapture(sphere.folder.path(), {}, Reporter::silent()), Error);
   setInterruptRequested(false);
 }
 
