@@ -1101,22 +1101,24 @@ void dropUnusable(const Capture& capture, const AllPhotos& photos, CheckReport& 
   mended.masks = std::move(masks);
 }
 
-/// A display picture of at most `most` pixels along a side, as bright as its brightest percent allows.
-Image8 pictureOf(const ImageF& pixels, int most) {
-  const int factor = std::max(1, (std::max(pixels.width(), pixels.height()) + most - 1) / most);
-  ImageF small((pixels.width() + factor - 1) / factor, (pixels.height() + factor - 1) / factor, 3);
+/// A display picture of about `side` pixels along the longer side (whole pixels of the photograph are left out or
+/// repeated), as bright as its brightest percent allows.
+Image8 pictureOf(const ImageF& pixels, int side) {
+  const int longest = std::max(pixels.width(), pixels.height());
+  const int less = std::max(1, (longest + side - 1) / side), more = less > 1 ? 1 : std::max(1, side / longest);
+  ImageF shown((pixels.width() + less - 1) / less * more, (pixels.height() + less - 1) / less * more, 3);
   std::vector<float> values;
-  for (int y = 0; y < small.height(); ++y)
-    for (int x = 0; x < small.width(); ++x)
+  for (int y = 0; y < shown.height(); ++y)
+    for (int x = 0; x < shown.width(); ++x)
       for (int c = 0; c < 3; ++c) {
-        const float v = pixels.at(x * factor, y * factor, std::min(c, pixels.channels() < 3 ? 0 : 2));
-        small.at(x, y, c) = std::isfinite(v) ? v : 0;
+        const float v = pixels.at(x / more * less, y / more * less, pixels.channels() < 3 ? 0 : c);
+        shown.at(x, y, c) = std::isfinite(v) ? v : 0;
         if (v > 0 && std::isfinite(v)) values.push_back(v);
       }
-  if (values.empty()) return displayImage(small);
+  if (values.empty()) return displayImage(shown);
   const auto at = values.begin() + static_cast<std::ptrdiff_t>(0.99 * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), at, values.end());
-  return displayImage(small, 0.9 / *at);
+  return displayImage(shown, 0.9 / *at);
 }
 
 void drawPictures(const Capture& capture, const AllPhotos& photos, const std::vector<SilhouetteView>& views,
