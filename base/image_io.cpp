@@ -24,10 +24,10 @@ namespace {
 
 constexpr float kLargestHalf = 65504.f;
 
-std::unique_ptr<OIIO::ImageInput> openInput(const std::filesystem::path& file) {
+std::unique_ptr<OIIO::ImageInput> openInput(const std::filesystem::path& file,
+                                            OIIO::ImageSpec as_stored = OIIO::ImageSpec()) {
   if (!std::filesystem::exists(file)) throw badInput(file.string(), "does not exist; check the path");
   // Alpha is associated in linear light by readImage; OpenImageIO would do it on the encoded values.
-  OIIO::ImageSpec as_stored;
   as_stored.attribute("oiio:UnassociatedAlpha", 1);
   auto input = OIIO::ImageInput::open(file.string(), &as_stored);
   if (!input)
@@ -116,6 +116,71 @@ LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transf
   return image;
 }
 
+ImageF uprightImage(const ImageF& image, int orientation) {
+  if (orientation < 2 || orientation > 8) return image;
+  const int w = image.width(), h = image.height();
+  const bool turned = orientation >= 5;
+  ImageF out(turned ? h : w, turned ? w : h, image.channels());
+  for (int y = 0; y < out.height(); ++y)
+    for (int x = 0; x < out.width(); ++x) {
+      // Where the upright pixel is stored. 2 mirrored; 3 upside down; 4 both; 5 to 8 with rows and columns exchanged.
+      int u = turned ? y : x, v = turned ? x : y;
+      if (orientation == 2 || orientation == 3 || orientation == 7 || orientation == 8) u = w - 1 - u;
+      if (orientation == 3 || orientation == 4 || orientation == 6 || orientation == 7) v = h - 1 - v;
+      std::copy_n(&image.at(u, v), image.channels(), &out.at(x, y));
+    }
+  return out;
+}
+
+Photograph readPhotograph(const std::filesystem::path& file,
+                          const std::optional<std::array<float, 4>>& white_balance) {
+  auto input = openInput(file);
+  Photograph photo;
+  photo.is_raw = std::string(input->format_name()) == "raw";
+  if (photo.is_raw) {
+    std::array<float, 4> multipliers{1, 1, 1, 1};
+    if (white_balance) {
+      multipliers = *white_balance;
+    } else if (const auto* own = input->spec().find_attribute("raw:cam_mul"); own && own->type().numelements() == 4) {
+      for (int c = 0; c < 4; ++c) multipliers[c] = own->get_float_indexed(c);
+      if (!(multipliers[3] > 0)) multipliers[3] = multipliers[1];
+      if (!(multipliers[0] > 0 && multipliers[1] > 0 && multipliers[2] > 0)) multipliers = {1, 1, 1, 1};
+      for (int c : {0, 2, 3, 1}) multipliers[c] /= multipliers[1];
+    }
+    photo.white_balance = multipliers;
+    OIIO::ImageSpec config;
+    config.attribute("raw:ColorSpace", "linear");
+    config.attribute("raw:auto_bright", 0);
+    config.attribute("raw:adjust_maximum_thr", 0.f);
+    config.attribute("raw:use_camera_wb", 0);
+    config.attribute("raw:user_mul", OIIO::TypeDesc(OIIO::TypeDesc::FLOAT, 4), multipliers.data());
+    input = openInput(file, config);
+  }
+  const OIIO::ImageSpec spec = input->spec();
+  std::vector<int> order = colourChannels(spec);
+  if (order.size() == 4) order.pop_back();
+  std::vector<float> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels);
+  if (!input->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, all.data()))
+    throw badInput(file.string(), "ends early or is damaged (" + input->geterror() + "); copy it again");
+  photo.bits = static_cast<int>(spec.format.size() * 8);
+  photo.is_linear = photo.is_raw || spec.format.is_floating_point();
+  ImageF stored(spec.width, spec.height, static_cast<int>(order.size()));
+  float* to = stored.data().data();
+  for (std::size_t p = 0; p < static_cast<std::size_t>(spec.width) * spec.height; ++p)
+    for (const int c : order) *to++ = all[p * spec.nchannels + c];
+  // RAW comes upright already.
+  photo.pixels = uprightImage(stored, photo.is_raw ? 1 : spec.get_int_attribute("Orientation", 1));
+  const auto positive = [&](const char* name) -> std::optional<double> {
+    const double value = spec.get_float_attribute(name, 0);
+    return value > 0 && std::isfinite(value) ? std::optional<double>(value) : std::nullopt;
+  };
+  photo.seconds = positive("ExposureTime");
+  photo.f_number = positive("FNumber");
+  photo.iso = positive("Exif:PhotographicSensitivity");
+  if (!photo.iso) photo.iso = positive("Exif:ISOSpeedRatings");
+  return photo;
+}
+
 ImageSize readImageSize(const std::filesystem::path& file) {
   const auto input = openInput(file);
   return {input->spec().width, input->spec().height};
@@ -168,7 +233,7 @@ std::size_t writeExr(const std::filesystem::path& file, int width, int height, c
       halves[c].resize(pixels);
       for (std::size_t i = 0; i < pixels; ++i) {
         float v = channel.data[static_cast<std::ptrdiff_t>(i) * channel.stride];
-        clamped += clampToHalf(v);
+        if (!(channel.masked && std::isnan(v))) clamped += clampToHalf(v);
         halves[c][i] = half(v);
       }
       buffer.insert(channel.name, Imf::Slice(Imf::HALF, reinterpret_cast<char*>(halves[c].data()), sizeof(half),
@@ -187,12 +252,24 @@ std::size_t writeExr(const std::filesystem::path& file, int width, int height, c
   return clamped;
 }
 
-std::size_t writeExr(const std::filesystem::path& file, const ImageF& image, const Attributes& attributes) {
+namespace {
+std::size_t writeHalf(const std::filesystem::path& file, const ImageF& image, const Attributes& attributes,
+                      bool masked) {
   static constexpr const char* kNames[] = {"R", "G", "B", "A"};
   std::vector<ExrChannel> channels;
   for (int c = 0; c < image.channels(); ++c)
-    channels.push_back({image.channels() == 1 ? "Y" : kNames[c], image.data().data() + c, image.channels(), false});
+    channels.push_back(
+        {image.channels() == 1 ? "Y" : kNames[c], image.data().data() + c, image.channels(), false, masked});
   return writeExr(file, image.width(), image.height(), channels, attributes);
+}
+}  // namespace
+
+std::size_t writeExr(const std::filesystem::path& file, const ImageF& image, const Attributes& attributes) {
+  return writeHalf(file, image, attributes, false);
+}
+
+std::size_t writeMaskedExr(const std::filesystem::path& file, const ImageF& image, const Attributes& attributes) {
+  return writeHalf(file, image, attributes, true);
 }
 
 void writePng(const std::filesystem::path& file, const Image8& image) {

@@ -1,6 +1,7 @@
-// Image files. image_io.cpp is the one place that includes OpenImageIO and OpenEXR.
+// Image files. image_io.cpp is the one place that includes OpenImageIO and OpenEXR (but for colour: color.h).
 #pragma once
 
+#include <array>
 #include <filesystem>
 #include <map>
 #include <optional>
@@ -24,6 +25,24 @@ struct LoadedImage {
 /// Reads a whole image, first part, channels by name (R G B A, else Y, else in file order). NaN and Inf are passed
 /// on as they are. Throws bad_input that names the file: missing, unreadable, truncated.
 LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transfer = Transfer::srgb);
+
+/// A photograph with what its camera says about it. Samples are as the file stores them: integer ones from 0 to 1 in
+/// their own encoding, RAW and float ones linear.
+struct Photograph {
+  ImageF pixels;  ///< 1 or 3 channels, turned upright as the file's orientation says
+  int bits = 8;   ///< of a sample
+  bool is_linear = false;  ///< RAW, EXR, HDR and other float files
+  bool is_raw = false;
+  std::optional<double> seconds, f_number, iso;   ///< of the exposure
+  std::optional<std::array<float, 4>> white_balance;  ///< RAW: the multipliers of R, G, B and the second G, green 1
+};
+/// Reads a photograph. RAW files are made linear Rec.709 from the sensor's values without tone curve, automatic
+/// brightness or maximum: 1 is the sensor's full well after white balance. `white_balance`: the multipliers to use;
+/// without them the file's own (as shot). Throws bad_input as readImage does.
+Photograph readPhotograph(const std::filesystem::path& file,
+                          const std::optional<std::array<float, 4>>& white_balance = std::nullopt);
+/// The image turned as EXIF's orientation 1 to 8 says it has to be to stand upright.
+ImageF uprightImage(const ImageF& image, int orientation);
 /// Width and height without decoding the pixels.
 struct ImageSize {
   int width = 0, height = 0;
@@ -38,6 +57,7 @@ struct ExrChannel {
   const float* data = nullptr;  ///< width * height values, `stride` floats apart
   std::ptrdiff_t stride = 1;
   bool full_float = false;  ///< 32-bit float instead of half
+  bool masked = false;      ///< half only: NaN marks samples without a value and stays
 };
 using Attributes = std::map<std::string, std::string>;  ///< string attributes of the header
 
@@ -48,6 +68,9 @@ std::size_t writeExr(const std::filesystem::path& file, int width, int height, c
                      const Attributes& attributes = {});
 /// RGB or RGBA or grey float image as half EXR.
 std::size_t writeExr(const std::filesystem::path& file, const ImageF& image, const Attributes& attributes = {});
+/// The same for a photograph of a capture, in which NaN marks samples that were not measured (saturated, out of the
+/// picture): it is written as it is and not counted.
+std::size_t writeMaskedExr(const std::filesystem::path& file, const ImageF& image, const Attributes& attributes = {});
 /// 8-bit PNG of display values (1, 3 or 4 channels), written beside and renamed.
 void writePng(const std::filesystem::path& file, const Image8& image);
 /// 16-bit PNG; values 0..1 are scaled to 0..65535.
