@@ -349,17 +349,17 @@ double areaOf(const std::vector<Vec2>& polygon) {
 
 }  // namespace
 
-Undistortion::Undistortion(const Intrinsics& lens) : lens_(lens), pinhole_(lens) {
-  if (lens.isOrthographic()) {
-    pinhole_ = lens;
-    pinhole_.k1 = pinhole_.k2 = pinhole_.k3 = pinhole_.k4 = pinhole_.p1 = pinhole_.p2 = 0;
-  } else {
-    pinhole_ = Intrinsics{};
-    pinhole_.model = CameraModel::pinhole;
-    pinhole_.width = lens.width, pinhole_.height = lens.height;
-    pinhole_.fl_x = lens.fl_x, pinhole_.fl_y = lens.fl_y;
-    pinhole_.cx = lens.cx, pinhole_.cy = lens.cy, pinhole_.skew = lens.skew;
-  }
+Intrinsics Undistortion::pinholeOf(const Intrinsics& lens) {
+  if (lens.isOrthographic()) return lens;  // has no distortion
+  Intrinsics pinhole;
+  pinhole.model = CameraModel::pinhole;
+  pinhole.width = lens.width, pinhole.height = lens.height;
+  pinhole.fl_x = lens.fl_x, pinhole.fl_y = lens.fl_y;
+  pinhole.cx = lens.cx, pinhole.cy = lens.cy, pinhole.skew = lens.skew;
+  return pinhole;
+}
+
+Undistortion::Undistortion(const Intrinsics& lens) : lens_(lens), pinhole_(pinholeOf(lens)) {
   const int w = lens.width, h = lens.height;
   // Where the corners of the new pixels lie in the old picture.
   std::vector<std::optional<Vec2>> corners(static_cast<std::size_t>(w + 1) * (h + 1));

@@ -94,6 +94,8 @@ void divideByFlat(ImageF& image, const ImageF& flat);
 class Undistortion {
  public:
   explicit Undistortion(const Intrinsics& lens);
+  /// The lens of the new pictures.
+  static Intrinsics pinholeOf(const Intrinsics& lens);
   const Intrinsics& lens() const { return pinhole_; }
   /// NaN where more than 1e-3 of the area is NaN or outside the old picture. Throws bad_input where the size differs.
   ImageF apply(const ImageF& image) const;

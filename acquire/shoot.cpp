@@ -63,6 +63,11 @@ bool looksLikeAnImage(const fs::path& file) {
                                              ".npy", ".mat",  ".ply", ".obj", ".zip", ".xmp", ".html", ".dome"};
   std::string extension = file.extension().string();
   for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  // Masks beside the photographs, as cat.mask.tga or v3_mask.png, are none of them.
+  std::string stem = file.stem().string();
+  for (char& c : stem) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  for (const char* ending : {".mask", "_mask", "-mask"})
+    if (stem == "mask" || stem.ends_with(ending)) return false;
   return !extension.empty() && std::find(kNot.begin(), kNot.end(), extension) == kNot.end();
 }
 

@@ -11,6 +11,7 @@
 #include "acquire/camera_calibration.h"
 #include "acquire/camera_import.h"
 #include "acquire/shoot.h"
+#include "apps/calibrate_lights.h"
 #include "apps/program.h"
 #include "base/error.h"
 #include "base/numeric.h"
@@ -29,6 +30,7 @@ struct Job {
   std::vector<std::string> cameras, leave_out;
   CameraModel lens = CameraModel::opencv;
   bool rig = false, turntable = false, copy = false;
+  bool developed = false;  ///< the photographs lie in the capture already, as linear images
   std::optional<double> step;  ///< degrees
 };
 
@@ -447,7 +449,7 @@ void writeResult(const Job& job, const fs::path& root, Capture& capture, Reporte
   for (CaptureView& view : capture.views)
     for (Photo& photo : view.photos) {
       ++photos;
-      if (!job.copy) continue;
+      if (!job.copy || job.developed) continue;
       const fs::path to = job.output / "images" / photo.file.lexically_relative(root);
       std::error_code code;
       fs::create_directories(to.parent_path(), code);
@@ -460,12 +462,55 @@ void writeResult(const Job& job, const fs::path& root, Capture& capture, Reporte
   writeCapture(job.output, capture);
   reporter.result(text("%s: %zu views, %zu photographs %s", (job.output / "transforms.json").c_str(),
                        capture.views.size(), photos,
-                       job.copy ? "copied into images/" : "referred to where they lie (--copy copies them)"));
+                       job.developed ? "developed into images/"
+                       : job.copy    ? "copied into images/" : "referred to where they lie (--copy copies them)"));
 }
 
 // ---- The ways
 
-void calibrateByBoard(const Job& job, Reporter& reporter) {
+/// Linear images and lights where they are asked for, and the capture.
+void finish(const Job& job, LightsAndImages& studio, std::vector<PlacedView> views,
+            const std::vector<ShootPhoto>& photos, Reporter& reporter) {
+  std::vector<PlacedCamera> cameras;
+  for (const PlacedView& view : views) cameras.push_back({view.camera, view.view, view.camera_at});
+  const auto bracketed = [](const ShootPhoto& photo) { return !photo.exposure.empty(); };
+  if (!studio.develops() && std::any_of(photos.begin(), photos.end(), bracketed))
+    throw usage("{exposure} in --photos needs --develop, which merges the exposures");
+  const std::vector<ShootPhoto> pictures =
+      studio.develops() ? studio.developed(photos, cameras, job.output, reporter) : photos;
+  std::vector<CaptureLight> lights;
+  if (studio.findsLights())
+    lights = studio.lights(job.photos, photos, cameras, reporter);
+  else if (!job.lights.empty())
+    lights = readLights(job.lights);
+  studio.setStrengthsOf(lights, job.photos, cameras, reporter);
+  if (studio.undistorts())
+    for (PlacedView& view : views) view.camera_at.lens = Undistortion::pinholeOf(view.camera_at.lens);
+  Capture capture = assemble(job, views, pictures, lights, reporter);
+  if (!studio.develops()) return writeResult(job, job.photos, capture, reporter);
+  capture.integer_transfer = Transfer::linear;
+  Job result = job;
+  result.developed = true;
+  writeResult(result, job.photos, capture, reporter);
+}
+
+/// One camera that nothing calibrates: photographs under many lights, as for reflectance transformation imaging.
+void calibrateOneView(const Job& job, LightsAndImages& studio, Reporter& reporter) {
+  std::set<std::string> left_out;
+  const std::vector<ShootPhoto> photos = photographs(job, job.photos, job.pattern, left_out);
+  for (const ShootPhoto& photo : photos)
+    if (photo.view != photos.front().view || photo.camera != photos.front().camera)
+      throw badInput(photo.file.string(),
+                     "is of another view than " + photos.front().file.string() +
+                         ", and --one-view takes one: name the photographs by {light} in --photos");
+  const ImageF first = readPhotograph(photos.front().file).pixels;
+  const std::string name = photos.front().view.empty() ? "view" : photos.front().view;
+  finish(job, studio,
+         {{name, photos.front().camera, photos.front().view, studio.oneViewCamera({first.width(), first.height()})}},
+         photos, reporter);
+}
+
+void calibrateByBoard(const Job& job, LightsAndImages& studio, Reporter& reporter) {
   const Board board = parseBoard(job.board);
   const bool apart = !job.board_photos.empty();
   std::set<std::string> left_out;
@@ -498,9 +543,7 @@ void calibrateByBoard(const Job& job, Reporter& reporter) {
   const std::vector<PlacedView> views = job.turntable ? placeTurntable(input, found, photos)
                                         : still       ? placeRig(job, input, found, !apart, reporter)
                                                       : placeByBoard(input, found);
-  const std::vector<CaptureLight> lights = job.lights.empty() ? std::vector<CaptureLight>{} : readLights(job.lights);
-  Capture capture = assemble(job, views, photos, lights, reporter);
-  writeResult(job, job.photos, capture, reporter);
+  finish(job, studio, views, photos, reporter);
 }
 
 int run(int argc, char** argv) {
@@ -545,6 +588,8 @@ int run(int argc, char** argv) {
   app.add_option("--units", job.units, "unit of the capture: m, cm or mm")->capture_default_str();
   app.add_option("--leave-out", job.leave_out, "names of photographs to take no notice of");
   app.add_flag("--copy", job.copy, "copy the photographs into the capture");
+  LightsAndImages studio;
+  studio.addOptions(app);
 
   return program.run(argc, argv, [&](Reporter& reporter) {
     if (*print) {
@@ -557,11 +602,12 @@ int run(int argc, char** argv) {
     }
     if (job.photos.empty()) throw usage("no folder of photographs is given; see --help");
     if (job.output.empty()) throw usage("-o names the folder of the capture; it is missing");
-    if (job.board.empty()) throw usage("no way is given: --board; see --help");
+    if (job.board.empty() != studio.oneView()) throw usage("one way is to be given: --board or --one-view; see --help");
+    studio.validate();
     if (job.step && !job.turntable) throw usage("--step needs --turntable");
     if (job.rig && job.turntable)
       throw usage("--rig and --turntable exclude each other: a turntable's cameras are a rig");
-    calibrateByBoard(job, reporter);
+    studio.oneView() ? calibrateOneView(job, studio, reporter) : calibrateByBoard(job, studio, reporter);
   });
 }
 

@@ -23,7 +23,7 @@ std::string refusal(const std::function<void()>& call) {
 TEST(Shoot, PathsSayViewLightAndExposureInNaturalOrder) {
   const test::TemporaryFolder folder;
   for (const char* name : {"v1/l10_a.jpg", "v1/l2_b.jpg", "v1/l2_a.jpg", "v0/l2_a.jpg", "notes.txt", "v1/other.jpg",
-                           "v1/l3_a.txt"})
+                           "v1/l3_a.txt", "v1/l3_mask.png", "v1/l4_a.mask.jpg"})
     writeTextFile(folder / name, "x");
   const auto photos = findPhotos(folder.path(), "v{view}/l{light}_{exposure}.*");
   ASSERT_EQ(photos.size(), 4u);
