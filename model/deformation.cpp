@@ -8,6 +8,7 @@
 
 #include "base/check.h"
 #include "base/numeric.h"
+#include "base/sin_cos.h"
 #include "model/skinning.h"
 
 // Twist, taper and bend: Barr, Global and Local Deformations of Solid Primitives, 1984. Lattice: Sederberg and Parry,
@@ -26,18 +27,52 @@ constexpr double kRigidTolerance = 1e-12;
 constexpr double kParallelSine = 1e-6;
 constexpr int kMostLatticePoints = 64;  // along one axis
 
-Mat3 outer(const Vec3& a, const Vec3& b) {
-  return {{a.x * b, a.y * b, a.z * b}};
+// Without the fused operations of `cross`, which not every build has in wide form. What it loses by cancellation is
+// small beside the terms that it is added to.
+Vec3 plainCross(const Vec3& a, const Vec3& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 double reciprocalLength(double per_unit) {
   return per_unit == 0 ? kInfinity : 1 / std::fabs(per_unit);
 }
 
-class AffineMap final : public SpaceMap {
+constexpr std::size_t kMost = CarriedPoints::kMost;
+
+/// A map whose formulas stand in `carry` alone.
+class WideMap : public SpaceMap {
+ public:
+  Vec3 map(const Vec3& p) const final {
+    CarriedPoints one;
+    one.count = 1;
+    CarriedPoints::put(p, one.p, 0);
+    one.handedness[0] = 1;
+    carry(one);
+    return CarriedPoints::get(one.p, 0);
+  }
+  Mat3 jacobian(const Vec3& p) const final {
+    CarriedPoints one;
+    one.count = 1;
+    one.vectors = 3;
+    CarriedPoints::put(p, one.p, 0);
+    for (int v = 0; v < 3; ++v) CarriedPoints::put(Mat3{}.row[v], one.vector[v], 0);
+    one.handedness[0] = 1;
+    carry(one);
+    return Mat3::fromColumns(CarriedPoints::get(one.vector[0], 0), CarriedPoints::get(one.vector[1], 0),
+                             CarriedPoints::get(one.vector[2], 0));
+  }
+};
+
+class AffineMap final : public WideMap {
  public:
   AffineMap(const Mat3& linear, const Vec3& translation) : linear_(linear), translation_(translation) {}
-  Vec3 map(const Vec3& p) const override { return linear_ * p + translation_; }
-  Mat3 jacobian(const Vec3&) const override { return linear_; }
+  void carry(CarriedPoints& points) const override {
+    const Vec3 t = translation_;
+    times(points.p, points.count);
+    for (std::size_t i = 0; i < points.count; ++i) points.p[0][i] += t.x, points.p[1][i] += t.y, points.p[2][i] += t.z;
+    for (std::size_t v = 0; v < points.vectors; ++v) times(points.vector[v], points.count);
+    if (determinant(linear_) < 0)
+      for (std::size_t i = 0; i < points.count; ++i) points.handedness[i] = -points.handedness[i];
+  }
   double lengthScale() const override { return kInfinity; }
   bool rigid() const override {
     const Mat3 gram = linear_ * linear_.transposed();
@@ -48,55 +83,71 @@ class AffineMap final : public SpaceMap {
   }
 
  private:
+  void times(CarriedPoints::Coordinates& a, std::size_t count) const {
+    const Mat3 m = linear_;
+    for (std::size_t i = 0; i < count; ++i) CarriedPoints::put(m * CarriedPoints::get(a, i), a, i);
+  }
   Mat3 linear_;
   Vec3 translation_;
 };
 
-class TwistMap final : public SpaceMap {
+class TwistMap final : public WideMap {
  public:
-  TwistMap(const Vec3& origin, const Vec3& axis, double k)
-      : origin_(origin), axis_(axis), k_(k), along_(outer(axis, axis)), turning_(crossMatrix(axis)) {}
-  Vec3 map(const Vec3& p) const override {
-    const Vec3 q = p - origin_;
-    return origin_ + turn(q) * q;
-  }
-  Mat3 jacobian(const Vec3& p) const override {
-    Mat3 j;
-    mapWithJacobian(p, j);
-    return j;
-  }
-  Vec3 mapWithJacobian(const Vec3& p, Mat3& j) const override {
-    const Vec3 q = p - origin_;
-    const Mat3 rotation = turn(q);
-    const Vec3 turned = rotation * q;
-    j = rotation + outer(k_ * cross(axis_, turned), axis_);
-    return origin_ + turned;
+  TwistMap(const Vec3& origin, const Vec3& axis, double k) : origin_(origin), axis_(axis), k_(k) {}
+  void carry(CarriedPoints& points) const override {
+    const Vec3 o = origin_, a = axis_;
+    const double k = k_;
+    const std::size_t count = points.count;
+    double angle[kMost] = {}, sine[kMost], cosine[kMost], twirl[3][kMost];
+    for (std::size_t i = 0; i < count; ++i) angle[i] = k * dot(CarriedPoints::get(points.p, i) - o, a);
+    sinCos(angle, sine, cosine, count);
+    // Turned by the angle of its place (Rodrigues' formula).
+    const auto turned = [&](const Vec3& x, std::size_t i) {
+      return cosine[i] * x + sine[i] * plainCross(a, x) + ((1 - cosine[i]) * dot(a, x)) * a;
+    };
+    for (std::size_t i = 0; i < count; ++i) {
+      const Vec3 q = turned(CarriedPoints::get(points.p, i) - o, i);
+      CarriedPoints::put(o + q, points.p, i);
+      CarriedPoints::put(k * plainCross(a, q), twirl, i);
+    }
+    for (std::size_t v = 0; v < points.vectors; ++v) {
+      auto& vector = points.vector[v];
+      for (std::size_t i = 0; i < count; ++i) {
+        const Vec3 x = CarriedPoints::get(vector, i);
+        CarriedPoints::put(turned(x, i) + dot(a, x) * CarriedPoints::get(twirl, i), vector, i);
+      }
+    }
   }
   double lengthScale() const override { return reciprocalLength(k_); }
 
  private:
-  Mat3 turn(const Vec3& q) const {
-    const double angle = k_ * dot(q, axis_), c = std::cos(angle), s = std::sin(angle);
-    return c * Mat3{} + s * turning_ + (1 - c) * along_;
-  }
   Vec3 origin_, axis_;
   double k_;  // radians per unit
-  Mat3 along_, turning_;
 };
 
-class TaperMap final : public SpaceMap {
+class TaperMap final : public WideMap {
  public:
   TaperMap(const Vec3& origin, const Vec3& axis, double k) : origin_(origin), axis_(axis), k_(k) {}
-  Vec3 map(const Vec3& p) const override {
-    const Vec3 q = p - origin_;
-    const double s = dot(q, axis_);
-    return p + (k_ * s) * (q - s * axis_);  // o + s a + (1 + k s)(q - s a)
-  }
-  Mat3 jacobian(const Vec3& p) const override {
-    const Vec3 q = p - origin_;
-    const double s = dot(q, axis_);
-    const Mat3 along = outer(axis_, axis_), across = Mat3{} + (-1.0) * along;
-    return along + (1 + k_ * s) * across + k_ * outer(q - s * axis_, axis_);
+  // det = (1 + k s)^2: never mirrors.
+  void carry(CarriedPoints& points) const override {
+    const Vec3 o = origin_, a = axis_;
+    const double k = k_;
+    double growth[kMost], slope[3][kMost];  // 1 + k s, and what it grows by along the axis
+    for (std::size_t i = 0; i < points.count; ++i) {
+      const Vec3 p = CarriedPoints::get(points.p, i), q = p - o;
+      const double s = dot(q, a);
+      const Vec3 across = q - s * a;
+      CarriedPoints::put(p + (k * s) * across, points.p, i);  // o + s a + (1 + k s)(q - s a)
+      CarriedPoints::put(k * across, slope, i);
+      growth[i] = 1 + k * s;
+    }
+    for (std::size_t v = 0; v < points.vectors; ++v) {
+      auto& vector = points.vector[v];
+      for (std::size_t i = 0; i < points.count; ++i) {
+        const Vec3 x = CarriedPoints::get(vector, i), along = dot(a, x) * a;
+        CarriedPoints::put(along + growth[i] * (x - along) + dot(a, x) * CarriedPoints::get(slope, i), vector, i);
+      }
+    }
   }
   double lengthScale() const override { return reciprocalLength(k_); }
 
@@ -105,49 +156,55 @@ class TaperMap final : public SpaceMap {
   double k_;  // per unit
 };
 
-class BendMap final : public SpaceMap {
+class BendMap final : public WideMap {
  public:
   BendMap(const Vec3& origin, const Vec3& axis, const Vec3& toward, double k, double low, double high)
-      : origin_(origin),
-        axis_(axis),
-        toward_(toward),
-        side_(cross(axis, toward)),
-        across_(outer(side_, side_)),
-        k_(k),
-        low_(low),
-        high_(high) {}
-  Vec3 map(const Vec3& p) const override {
-    Mat3 unused;
-    return mapWithJacobian(p, unused);
-  }
-  Mat3 jacobian(const Vec3& p) const override {
-    Mat3 j;
-    mapWithJacobian(p, j);
-    return j;
-  }
-  Vec3 mapWithJacobian(const Vec3& p, Mat3& j) const override {
-    const Vec3 q = p - origin_;
-    const double x = dot(q, toward_), y = dot(q, side_), s = dot(q, axis_);
-    const double clamped = std::clamp(s, low_, high_), r = s - clamped, th = k_ * clamped;
-    const double c = std::cos(th), d = std::sin(th), half = std::sin(th / 2);
-    // sin(th) / k and (1 - cos(th)) / k without dividing by a small k.
-    const double sinc = th == 0 ? 1 : d / th, sinc_of_half = th == 0 ? 1 : half / (th / 2);
-    const double along = clamped * sinc - d * x + c * r, over = clamped * half * sinc_of_half + c * x + d * r;
-    const double stretch = s == clamped ? 1 - k_ * x : 1;  // beyond the range the object goes on rigidly
-    j = across_ + outer(axis_, (c * stretch) * axis_ - d * toward_) +
-        outer(toward_, (d * stretch) * axis_ + c * toward_);
-    return origin_ + y * side_ + along * axis_ + over * toward_;
+      : origin_(origin), axis_(axis), toward_(toward), side_(cross(axis, toward)), k_(k), low_(low), high_(high) {}
+  void carry(CarriedPoints& points) const override {
+    const Vec3 o = origin_, a = axis_, t = toward_, across = side_;
+    const double k = k_, low = low_, high = high_;
+    const std::size_t count = points.count;
+    double clamped[kMost], half[kMost] = {}, half_sine[kMost], half_cosine[kMost], sine[kMost], cosine[kMost],
+                           stretch[kMost];
+    for (std::size_t i = 0; i < count; ++i) {
+      const double s = dot(CarriedPoints::get(points.p, i) - o, a);
+      clamped[i] = s < low ? low : s > high ? high : s;
+      half[i] = 0.5 * k * clamped[i];
+    }
+    sinCos(half, half_sine, half_cosine, count);
+    for (std::size_t i = 0; i < count; ++i) {
+      const Vec3 q = CarriedPoints::get(points.p, i) - o;
+      const double x = dot(q, t), y = dot(q, across), r = dot(q, a) - clamped[i];
+      const double c = 1 - 2 * half_sine[i] * half_sine[i], d = 2 * half_sine[i] * half_cosine[i];
+      // sin(th) / k and (1 - cos(th)) / k without dividing by a small k.
+      const double sinc_of_half = half[i] == 0 ? 1 : half_sine[i] / half[i];
+      const double along = clamped[i] * sinc_of_half * half_cosine[i] - d * x + c * r;
+      const double over = clamped[i] * half_sine[i] * sinc_of_half + c * x + d * r;
+      CarriedPoints::put(o + y * across + along * a + over * t, points.p, i);
+      sine[i] = d, cosine[i] = c;
+      stretch[i] = r == 0 ? 1 - k * x : 1;  // beyond the range the object goes on rigidly
+    }
+    for (std::size_t v = 0; v < points.vectors; ++v) {
+      auto& vector = points.vector[v];
+      for (std::size_t i = 0; i < count; ++i) {
+        const Vec3 x = CarriedPoints::get(vector, i);
+        const double along = stretch[i] * dot(x, a), over = dot(x, t);
+        CarriedPoints::put(dot(x, across) * across + (cosine[i] * along - sine[i] * over) * a +
+                               (sine[i] * along + cosine[i] * over) * t,
+                           vector, i);
+      }
+    }
+    for (std::size_t i = 0; i < count; ++i) points.handedness[i] *= stretch[i] < 0 ? -1 : 1;  // det = stretch
   }
   double lengthScale() const override { return reciprocalLength(k_); }
 
  private:
   Vec3 origin_, axis_, toward_, side_;
-  Mat3 across_;
   double k_;  // radians per unit
   double low_, high_;
 };
 
-class WaveMap final : public SpaceMap {
+class WaveMap final : public WideMap {
  public:
   WaveMap(const Vec3& origin, const Vec3& axis, const Vec3& direction, double amplitude, double wavelength,
           double phase)
@@ -157,14 +214,28 @@ class WaveMap final : public SpaceMap {
         amplitude_(amplitude),
         k_(2 * kPi / wavelength),
         phase_(phase) {}
-  Vec3 map(const Vec3& p) const override { return p + (amplitude_ * std::sin(angle(p))) * direction_; }
-  Mat3 jacobian(const Vec3& p) const override {
-    return Mat3{} + (amplitude_ * k_ * std::cos(angle(p))) * outer(direction_, axis_);
+  void carry(CarriedPoints& points) const override {
+    const Vec3 o = origin_, a = axis_, d = direction_;
+    const double amplitude = amplitude_, k = k_, phase = phase_, along = dot(d, a);
+    const std::size_t count = points.count;
+    double angle[kMost] = {}, sine[kMost], cosine[kMost];
+    for (std::size_t i = 0; i < count; ++i) angle[i] = k * dot(CarriedPoints::get(points.p, i) - o, a) + phase;
+    sinCos(angle, sine, cosine, count);
+    for (std::size_t i = 0; i < count; ++i)
+      CarriedPoints::put(CarriedPoints::get(points.p, i) + (amplitude * sine[i]) * d, points.p, i);
+    for (std::size_t v = 0; v < points.vectors; ++v) {
+      auto& vector = points.vector[v];
+      for (std::size_t i = 0; i < count; ++i) {
+        const Vec3 x = CarriedPoints::get(vector, i);
+        CarriedPoints::put(x + (amplitude * k * cosine[i] * dot(a, x)) * d, vector, i);
+      }
+    }
+    for (std::size_t i = 0; i < count; ++i)
+      points.handedness[i] *= 1 + amplitude * k * cosine[i] * along < 0 ? -1 : 1;  // det
   }
   double lengthScale() const override { return 1 / k_; }
 
  private:
-  double angle(const Vec3& p) const { return k_ * dot(p - origin_, axis_) + phase_; }
   Vec3 origin_, axis_, direction_;
   double amplitude_, k_, phase_;  // units, radians per unit, radians
 };
@@ -393,6 +464,17 @@ MakeMap parseFfd(Parameters& in) {
 
 }  // namespace
 
+void SpaceMap::carry(CarriedPoints& points) const {
+  for (std::size_t i = 0; i < points.count; ++i) {
+    const Vec3 p = CarriedPoints::get(points.p, i);
+    const Mat3 j = jacobian(p);
+    CarriedPoints::put(map(p), points.p, i);
+    for (std::size_t v = 0; v < points.vectors; ++v)
+      CarriedPoints::put(j * CarriedPoints::get(points.vector[v], i), points.vector[v], i);
+    if (determinant(j) < 0) points.handedness[i] = -points.handedness[i];
+  }
+}
+
 bool Deformation::rigid() const {
   return std::all_of(steps_.begin(), steps_.end(), [](const auto& step) { return step->rigid(); });
 }
@@ -408,21 +490,14 @@ Point<ObjectSpace> Deformation::map(const Point<AcquisitionSpace>& p0) const {
 }
 
 Linear<ObjectSpace, AcquisitionSpace> Deformation::jacobian(const Point<AcquisitionSpace>& p0) const {
-  Linear<ObjectSpace, AcquisitionSpace> total;
-  mapWithJacobian(p0, total);
-  return total;
-}
-
-Point<ObjectSpace> Deformation::mapWithJacobian(const Point<AcquisitionSpace>& p0,
-                                                Linear<ObjectSpace, AcquisitionSpace>& jacobian_at_p0) const {
   Vec3 p = p0.raw();
-  Mat3 total, own;
+  Mat3 total;
   for (std::size_t i = 0; i < steps_.size(); ++i) {
-    p = steps_[i]->mapWithJacobian(p, own);
+    const Mat3 own = steps_[i]->jacobian(p);
     total = i == 0 ? own : own * total;
+    p = steps_[i]->map(p);
   }
-  jacobian_at_p0 = Linear<ObjectSpace, AcquisitionSpace>(total);
-  return Point<ObjectSpace>(p);
+  return Linear<ObjectSpace, AcquisitionSpace>(total);
 }
 
 Linear<ObjectSpace, AcquisitionSpace> Deformation::differences(const Point<AcquisitionSpace>& p0,

@@ -18,6 +18,20 @@
 
 namespace srf {
 
+/// Points on their way through Psi, with up to three vectors at each, as plain arrays: loops over them are made wide.
+struct CarriedPoints {
+  static constexpr std::size_t kMost = 64;
+  std::size_t count = 0;       ///< of points
+  std::size_t vectors = 0;     ///< at each
+  double p[3][kMost];          ///< by coordinate
+  double vector[3][3][kMost];  ///< by vector and coordinate
+  double handedness[kMost];    ///< 1 or -1; turned by every step that mirrors there
+
+  using Coordinates = double[3][kMost];
+  static Vec3 get(const Coordinates& from, std::size_t i) { return {from[0][i], from[1][i], from[2][i]}; }
+  static void put(const Vec3& a, Coordinates& to, std::size_t i) { to[0][i] = a.x, to[1][i] = a.y, to[2][i] = a.z; }
+};
+
 /// One step of Psi at one frame: a map of space onto itself.
 class SpaceMap {
  public:
@@ -25,11 +39,8 @@ class SpaceMap {
   virtual Vec3 map(const Vec3& p) const = 0;
   /// The Jacobian D(Psi)(p); one-sided at creases.
   virtual Mat3 jacobian(const Vec3& p) const = 0;
-  /// Both at once, to the same bits, for maps that share work between them.
-  virtual Vec3 mapWithJacobian(const Vec3& p, Mat3& jacobian_at_p) const {
-    jacobian_at_p = jacobian(p);
-    return map(p);
-  }
+  /// Takes every p to Psi(p), its vectors to D(Psi)(p) times them, and turns the handedness where det D(Psi)(p) < 0.
+  virtual void carry(CarriedPoints& points) const;
   /// A length over which the map changes little, units; infinite for affine maps. Sets the step of Eq. 6.
   virtual double lengthScale() const = 0;
   virtual bool rigid() const { return false; }
@@ -47,9 +58,10 @@ class Deformation {
   Point<ObjectSpace> map(const Point<AcquisitionSpace>& p0) const;
   /// The analytic Jacobian, by the chain rule.
   Linear<ObjectSpace, AcquisitionSpace> jacobian(const Point<AcquisitionSpace>& p0) const;
-  /// map and jacobian in one pass.
-  Point<ObjectSpace> mapWithJacobian(const Point<AcquisitionSpace>& p0,
-                                     Linear<ObjectSpace, AcquisitionSpace>& jacobian_at_p0) const;
+  /// p* of points and what becomes of vectors at them, in one pass. The same bits as `map` gives.
+  void carry(CarriedPoints& points) const {
+    for (const auto& step : steps_) step->carry(points);
+  }
   /// The Jacobian by central differences (Eq. 6), with the step 2^-17 of the length scale of object and map: the check
   /// of the analytic one, and what a map without one would use.
   Linear<ObjectSpace, AcquisitionSpace> differences(const Point<AcquisitionSpace>& p0, double object_diameter) const;

@@ -85,17 +85,19 @@ void DeformedModel::carry(const Deformation& psi, const MovedVertices* moved) {
   }
   struct Carried {
     Point<ObjectSpace> p_star;
-    Mat3 jacobian;
-    int handedness;
+    Tangents<ObjectSpace> tangents;
   };
-  // Point i, or what lies beside it at rest.
-  const auto carried = [&](std::size_t i, const Vec3& beside) {
-    Point<AcquisitionSpace> from = model_.p0[i] + Vector<AcquisitionSpace>(beside);
-    Linear<ObjectSpace, AcquisitionSpace> gradient;
+  // Makes slot k of a batch point i of the model, or what lies beside it at rest, with its rest tangents: after a skin
+  // or a mesh sequence, before the maps of space.
+  const auto put = [&](std::size_t i, const Vec3& beside, CarriedPoints& batch, std::size_t k) {
+    Vec3 from = model_.p0[i].raw() + beside;
+    const Mat3& frame = rest_frame_[i].raw();
+    Vec3 u = frame.column(0), v = frame.column(1);
     int handedness = 1;
     if (moved && model_.kind == ModelKind::mesh) {
-      from = Point<AcquisitionSpace>(moved->positions[i].raw());
-      gradient = motion.gradient[i];
+      from = moved->positions[i].raw();
+      u = motion.gradient[i].raw() * u;
+      v = motion.gradient[i].raw() * v;
       handedness = motion.handedness[i];
     } else if (moved) {
       const Triangle& corners = rest.triangles[model_.anchor_triangle[i]];
@@ -103,50 +105,65 @@ void DeformedModel::carry(const Deformation& psi, const MovedVertices* moved) {
       const double weights[3] = {1.0 - b1 - b2, b1, b2};
       const Vec3 &a = moved->positions[corners[0]].raw(), &b = moved->positions[corners[1]].raw(),
                  &c = moved->positions[corners[2]].raw();
-      Mat3 sum = 0.0 * Mat3{};
-      for (int k = 0; k < 3; ++k) sum = sum + weights[k] * motion.gradient[corners[k]].raw();
-      from = Point<AcquisitionSpace>(a + (weights[1] * (b - a) + weights[2] * (c - a)) + sum * beside);
-      gradient = Linear<ObjectSpace, AcquisitionSpace>(sum);
+      Mat3 gradient = 0.0 * Mat3{};
+      for (int n = 0; n < 3; ++n) gradient = gradient + weights[n] * motion.gradient[corners[n]].raw();
+      from = a + (weights[1] * (b - a) + weights[2] * (c - a)) + gradient * beside;
+      u = gradient * u;
+      v = gradient * v;
       handedness = motion.handedness[corners[0]];
     }
-    // M8: tangents by the analytic Jacobian (its check is Eq. 6), after moved vertices by the chain rule.
-    Linear<ObjectSpace, AcquisitionSpace> space;
-    const Point<ObjectSpace> p_star = psi.mapWithJacobian(from, space);
-    if (determinant(space) < 0) handedness = -handedness;
-    return Carried{p_star, moved ? space.raw() * gradient.raw() : space.raw(), handedness};
+    CarriedPoints::put(from, batch.p, k);
+    CarriedPoints::put(u, batch.vector[0], k);
+    CarriedPoints::put(v, batch.vector[1], k);
+    batch.handedness[k] = handedness;
   };
-  const auto tangentsOf = [&](std::size_t i, const Carried& at) {
-    const Mat3& frame = rest_frame_[i].raw();
-    return Tangents<ObjectSpace>{Vector<ObjectSpace>(at.jacobian * frame.column(0)),
-                                 Vector<ObjectSpace>(at.jacobian * frame.column(1)), at.handedness};
+  // M8: tangents by the analytic Jacobian (its check is Eq. 6).
+  const auto carryBatch = [&](CarriedPoints& batch, std::size_t count) {
+    batch.count = count;
+    batch.vectors = 2;
+    psi.carry(batch);
+  };
+  const auto get = [](const CarriedPoints& batch, std::size_t k) {
+    return Carried{Point<ObjectSpace>(CarriedPoints::get(batch.p, k)),
+                   {Vector<ObjectSpace>(CarriedPoints::get(batch.vector[0], k)),
+                    Vector<ObjectSpace>(CarriedPoints::get(batch.vector[1], k)), batch.handedness[k] < 0 ? -1 : 1}};
   };
   // Adds the splats that stand for the disc of `radius` about `beside`; true: there are several.
   const bool bends = !psi.affine();
   const auto addSplats = [&](std::size_t i, const Vec3& beside, double radius, const Carried& at, int splits,
                              std::vector<Splat>& out, const auto& self) -> bool {
-    const Tangents<ObjectSpace> tangents = tangentsOf(i, at);
+    const Tangents<ObjectSpace>& tangents = at.tangents;
     const Vec3 u = radius * rest_frame_[i].raw().column(0), v = radius * rest_frame_[i].raw().column(1);
     bool split = false;
+    CarriedPoints batch;
     if (bends && splits > 0) {
       const double most = kMostBend * radius * std::min(length(tangents.u), length(tangents.v));
       const double half = std::sqrt(0.5);
-      for (const Vec3& rim : {u, v, half * (u + v), half * (u - v)}) {
-        const double bend = length((carried(i, beside + rim).p_star - at.p_star).raw() - at.jacobian * rim);
+      static constexpr std::size_t kRim = 4;
+      const double rim[kRim][2] = {{1, 0}, {0, 1}, {half, half}, {half, -half}};
+      for (std::size_t k = 0; k < kRim; ++k) put(i, beside + (rim[k][0] * u + rim[k][1] * v), batch, k);
+      carryBatch(batch, kRim);
+      for (std::size_t k = 0; k < kRim; ++k) {
+        const Vector<ObjectSpace> flat = (radius * rim[k][0]) * tangents.u + (radius * rim[k][1]) * tangents.v;
+        const double bend = length((get(batch, k).p_star - at.p_star) - flat);
         split |= bend > most && bend < kFarthest;
       }
     }
     if (!split) {
-      const Vec3 normal = at.handedness * cross(tangents.u, tangents.v).raw();
+      const Vec3 normal = tangents.handedness * cross(tangents.u, tangents.v).raw();
       out.push_back({static_cast<std::uint32_t>(i), radius, model_.p0[i] + Vector<AcquisitionSpace>(beside), at.p_star,
                      tangents, unitOr(normal, {})});
       return false;
     }
     self(i, beside, kPartRadius * radius, at, splits - 1, out, self);
-    for (int k = 0; k < 6; ++k) {
-      const double angle = k * kPi / 3;
-      const Vec3 part = beside + (kPartDistance * std::cos(angle)) * u + (kPartDistance * std::sin(angle)) * v;
-      self(i, part, kPartRadius * radius, carried(i, part), splits - 1, out, self);
+    Vec3 part[6];
+    for (std::size_t k = 0; k < 6; ++k) {
+      const double angle = static_cast<double>(k) * kPi / 3;
+      part[k] = beside + (kPartDistance * std::cos(angle)) * u + (kPartDistance * std::sin(angle)) * v;
+      put(i, part[k], batch, k);
     }
+    carryBatch(batch, 6);
+    for (std::size_t k = 0; k < 6; ++k) self(i, part[k], kPartRadius * radius, get(batch, k), splits - 1, out, self);
     return true;
   };
 
@@ -159,21 +176,28 @@ void DeformedModel::carry(const Deformation& psi, const MovedVertices* moved) {
   parallelFor(model_.size(), kGrain, [&](std::size_t begin, std::size_t end) {
     Chunk& chunk = chunks[begin / kGrain];
     DeformedStatistics& count = chunk.count;
-    for (std::size_t i = begin; i < end; ++i) {
-      const Carried at = carried(i, {});
-      p_star_[i] = at.p_star;
-      tangents_[i] = tangentsOf(i, at);
-      const Vec3& p = at.p_star.raw();
-      if (!(std::fabs(p.x) < kFarthest && std::fabs(p.y) < kFarthest && std::fabs(p.z) < kFarthest)) {
-        constexpr double kNowhere = std::numeric_limits<double>::quiet_NaN();
-        p_star_[i] = Point<ObjectSpace>(kNowhere, kNowhere, kNowhere);
-        ++count.not_finite;
-        continue;
+    CarriedPoints batch;
+    for (std::size_t first = begin; first < end; first += CarriedPoints::kMost) {
+      const std::size_t size = std::min(CarriedPoints::kMost, end - first);
+      for (std::size_t k = 0; k < size; ++k) put(first + k, {}, batch, k);
+      carryBatch(batch, size);
+      for (std::size_t k = 0; k < size; ++k) {
+        const std::size_t i = first + k;
+        const Carried at = get(batch, k);
+        p_star_[i] = at.p_star;
+        tangents_[i] = at.tangents;
+        const Vec3& p = at.p_star.raw();
+        if (!(std::fabs(p.x) < kFarthest && std::fabs(p.y) < kFarthest && std::fabs(p.z) < kFarthest)) {
+          constexpr double kNowhere = std::numeric_limits<double>::quiet_NaN();
+          p_star_[i] = Point<ObjectSpace>(kNowhere, kNowhere, kNowhere);
+          ++count.not_finite;
+          continue;
+        }
+        count.mirrored += at.tangents.handedness < 0;
+        count.collapsed += collapsed(at.tangents);
+        if (model_.kind == ModelKind::surfels)
+          count.split += addSplats(i, {}, model_.radius[i], at, kMostSplits, chunk.splats, addSplats);
       }
-      count.mirrored += at.handedness < 0;
-      count.collapsed += collapsed(tangents_[i]);
-      if (model_.kind == ModelKind::surfels)
-        count.split += addSplats(i, {}, model_.radius[i], at, kMostSplits, chunk.splats, addSplats);
     }
   });
   splats_.clear();

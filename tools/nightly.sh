@@ -1,10 +1,13 @@
 #!/usr/bin/env bash
 # The hard cases at full size, in every build: optimised, with the sanitizers, without optimisation, without wide code.
 # Writes doc/hard_cases.md and its pictures from what the tests measured. Arguments: the builds to run (presets; all
-# without any).
+# without any). At full size every build runs every test; SRF_NIGHTLY=0 runs the size that goes with each change, and
+# after the first build only the tests that measure a hard case.
 #   tools/nightly.sh                    hours
 #   tools/nightly.sh release debug      two builds
-#   SRF_NIGHTLY=0 tools/nightly.sh      every build at the size that runs with each change
+#   SRF_NIGHTLY=0 tools/nightly.sh      every build at the small size
+# SRF_HARD_CASE_RECORDS=FOLDER keeps what was measured there, a file a build, and makes the page of all that it holds; so
+# builds can run one at a time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 builds=("$@")
@@ -12,22 +15,32 @@ builds=("$@")
 export SRF_NIGHTLY=${SRF_NIGHTLY:-1}
 
 tools/install.sh
-records=$(mktemp -d)
-trap 'rm -rf "$records"' EXIT
+if [[ -n ${SRF_HARD_CASE_RECORDS:-} ]]; then
+  records=$SRF_HARD_CASE_RECORDS
+  mkdir -p "$records"
+else
+  records=$(mktemp -d)
+  trap 'rm -rf "$records"' EXIT
+fi
+mkdir -p doc/images/hard_cases
+targets=(test_base test_field test_acquire test_visual_hull test_synthetic test_model test_render test_property test_regression)
 failed=0
 for build in "${builds[@]}"; do
   cmake --preset "$build" > /dev/null
-  cmake --build --preset "$build" -j "$(nproc)"
-  if [[ $build == "${builds[0]}" ]]; then
-    mkdir -p doc/images/hard_cases
+  cmake --build --preset "$build" -j "$(nproc)" --target "${targets[@]}"
+  only=()
+  # Of release alone, whose pictures these are and which has no sanitizer to please.
+  if [[ $build == release ]]; then
     export SRF_HARD_CASE_PICTURES=$PWD/doc/images/hard_cases
   else
     unset SRF_HARD_CASE_PICTURES
+    [[ $SRF_NIGHTLY == 1 || ! -e $records/release ]] || only=(-R "$(tools/nightly/page.py --tests "$records/release")")
   fi
+  rm -f "$records/$build"
   # Embree and TBB are not built with the thread sanitizer: what they do inside is not ours to judge.
   TSAN_OPTIONS="suppressions=$PWD/tools/nightly/tsan.txt" SRF_HARD_CASES="$records/$build" \
-    ctest --test-dir "build/$build" --output-on-failure --timeout 7200 -j 1 -E '^apps/' || failed=1
+    ctest --test-dir "build/$build" --output-on-failure --timeout 7200 -j 1 -E '^apps/|_NOT_BUILT' "${only[@]}" || failed=1
 done
-tools/nightly/page.py "$records" "${builds[@]}" > doc/hard_cases.md.part
+tools/nightly/page.py "$records" > doc/hard_cases.md.part
 mv doc/hard_cases.md.part doc/hard_cases.md
 exit "$failed"

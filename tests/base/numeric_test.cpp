@@ -10,6 +10,7 @@
 #include "base/files.h"
 #include "base/parallel.h"
 #include "base/reporter.h"
+#include "base/sin_cos.h"
 #include "base/transform.h"
 #include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
@@ -362,6 +363,34 @@ TEST(Reporter, AnInterruptEndsTheNextStepOfAStage) {
   }
   setInterruptRequested(false);
   stage.advance();
+}
+
+TEST(SinCos, IsOffByAtMostTwoToTheMinus52WhereverAnAngleStands) {
+  std::mt19937_64 engine(5);
+  const auto uniform = [&] { return static_cast<double>(engine() >> 11) * 0x1p-53; };
+  std::vector<double> angles{0.0, -0.0, kPi / 4, -kPi / 4, 1e5, -1e5, 1.1e5, 3e9, 1e300, -1e22, 5e-324, 1e-310};
+  for (int i = 0; i < 20; ++i) angles.push_back(i * kPi / 4);
+  for (int i = 0; i < 200'000; ++i) angles.push_back((uniform() < 0.5 ? -1 : 1) * std::pow(10, 17 * uniform() - 12));
+  for (int n = 1; n < 63'000; n += 61)  // as near to multiples of pi / 2 as doubles come, and beside them
+    for (const double beside : {0.0, 1e-15, -1e-9}) angles.push_back(n * (kPi / 2) * (1 + beside));
+  std::vector<double> sine(angles.size()), cosine(angles.size());
+  sinCos(angles.data(), sine.data(), cosine.data(), angles.size());
+  long double off = 0;
+  for (std::size_t i = 0; i < angles.size(); ++i) {
+    const long double x = angles[i];
+    off = std::max({off, std::fabs(sine[i] - std::sin(x)), std::fabs(cosine[i] - std::cos(x))});
+    double alone[2];
+    sinCos(&angles[i], &alone[0], &alone[1], 1);
+    ASSERT_TRUE(alone[0] == sine[i] && alone[1] == cosine[i]) << angles[i];
+  }
+  EXPECT_LE(off, 0x1p-52L);
+  EXPECT_EQ(sine[0], 0);
+  EXPECT_EQ(cosine[0], 1);
+  for (const double x : {std::nan(""), double{INFINITY}, -double{INFINITY}}) {
+    double s = 0, c = 0;
+    sinCos(&x, &s, &c, 1);
+    EXPECT_TRUE(std::isnan(s) && std::isnan(c));
+  }
 }
 
 }  // namespace

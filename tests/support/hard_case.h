@@ -7,6 +7,9 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <vector>
+
+#include "base/image.h"
 
 namespace srf::test {
 
@@ -40,5 +43,12 @@ inline int sized(int in_ci, int full) {
 }
 /// Where pictures for the page go; nothing outside tools/nightly.sh.
 std::optional<std::filesystem::path> hardCasePictures();
+/// Makes a picture for the page, where one is being made: `rgba` (linear) and beside it each layer of the same size in
+/// false colours from violet (low) to yellow (high), white where alpha is 0.
+struct ShownLayer {
+  const ImageF* values;
+  double low, high;
+};
+void showHardCase(int row, const std::string& name, const ImageF& rgba, const std::vector<ShownLayer>& layers);
 
 }  // namespace srf::test

@@ -1,23 +1,42 @@
 #!/usr/bin/env python3
-"""Makes doc/hard_cases.md of what the tests recorded: page.py FOLDER BUILD... (FOLDER holds one file of JSON lines a build)."""
+"""Makes doc/hard_cases.md of what the tests recorded.
+
+page.py FOLDER         the page; FOLDER holds one file of JSON lines a build
+page.py --tests FILE   the tests that recorded something there, as a regular expression for ctest
+"""
 import json
-import os
 import pathlib
+import re
 import sys
 
+BUILDS = ("release", "scalar", "debug", "asan", "tsan")
 root = pathlib.Path(__file__).resolve().parents[2]
+
+
+def records(file):
+    return [json.loads(line) for line in file.read_text().splitlines()]
+
+
+if sys.argv[1] == "--tests":
+    # Behind a parameterised test ctest writes the value, gtest its number.
+    names = sorted({re.sub(r"/\d+$", "", r["test"]) for r in records(pathlib.Path(sys.argv[2]))})
+    print("/(" + "|".join(name.replace(".", "[.]") for name in names) + ")(/.*)?$")
+    sys.exit()
+
 rows = json.loads((root / "tools/nightly/rows.json").read_text())
-folder, builds = pathlib.Path(sys.argv[1]), [b for b in sys.argv[2:] if (pathlib.Path(sys.argv[1]) / b).exists()]
+folder = pathlib.Path(sys.argv[1])
+builds = [b for b in BUILDS if (folder / b).exists()]
 if not builds:
     sys.exit("page.py: no build has recorded anything")
 
-found = {}  # (row, what) -> {"bound", "at_least", "tests", build: worst}
+found = {}  # (row, what) -> {"bound", "at_least", "tests", "by": {build: worst}, "full": measured at full size}
 for build in builds:
-    for line in (folder / build).read_text().splitlines():
-        r = json.loads(line)
-        entry = found.setdefault((r["row"], r["what"]), {"bound": r["bound"], "at_least": r["at_least"], "tests": set(), "by": {}})
+    for r in records(folder / build):
+        entry = found.setdefault((r["row"], r["what"]),
+                                 {"bound": r["bound"], "at_least": r["at_least"], "tests": set(), "by": {}, "full": set()})
         test = r["test"].split("/")
         entry["tests"].add("/".join(test[1:2] if len(test) > 1 and "." in test[1] else test[:1]))
+        entry["full"].add(r["full_size"])
         worst = min if r["at_least"] else max
         values = [v for v in (entry["by"].get(build), r["measured"]) if v is not None]
         entry["by"][build] = float("nan") if r["measured"] is None else worst(values)
@@ -29,25 +48,28 @@ def number(x):
 
 def margin(entry, worst):
     bound = entry["bound"]
-    if worst != worst:
-        return "**broken**"
     kept = worst >= bound if entry["at_least"] else worst <= bound
-    if not kept:
+    if worst != worst or not kept:
         return "**broken**"
     if bound == 0:
         return "exact"
     if worst == 0:
         return "all of it"
+    if worst < 0:
+        return f"{number(bound - worst)} more"
     ratio = worst / bound if entry["at_least"] else bound / worst
     return f"{ratio:.3g} x"
 
 
-full = os.environ.get("SRF_NIGHTLY") == "1"
+sizes = {full for e in found.values() for full in e["full"]}
+size = {(True,): "full size", (False,): "the size that runs with each change"}.get(
+    tuple(sorted(sizes)), "the size that runs with each change, with lines marked * at full size in `release`")
 print("# Hard cases\n")
-print("Made by `tools/nightly.sh` from what the tests measured: " + ("full size" if full else "the size that runs with each change")
-      + "; builds: " + ", ".join(f"`{b}`" for b in builds) + ". The worst of all builds and of all tests of a line stands in the table; "
+print(f"Made by `tools/nightly.sh` from what the tests measured: {size}; builds: "
+      + ", ".join(f"`{b}`" for b in builds) + ". The worst of all builds and of all tests of a line stands in the table; "
       "margin is how many times further from the bound it could be.\n")
-print("`release` is optimised with wide code (AVX2), `scalar` the same without it, `debug` is -O0, `asan` and `tsan` carry the sanitizers. "
+print("`release` is optimised with wide code (AVX2), `scalar` the same without it, `debug` is -O0, `asan` (addresses and undefined "
+      "behaviour) and `tsan` (threads) carry the sanitizers. "
       "Geometry, frames and deformations are computed in double throughout; rays, light weights and pixels in float, whose plain double "
       "counterparts (`reflectanceDotReference`, brute force in the tests) they are held against.\n")
 missing = []
@@ -63,13 +85,14 @@ for row in rows:
         missing.append(str(row["row"]))
         print("No test recorded it in this run.\n")
         continue
-    print("| measured | worst | bound | margin | test |\n|---|---|---|---|---|")
+    print("| measured | worst | bound | margin | builds | test |\n|---|---|---|---|---|---|")
     for (_, what), e in entries.items():
         values = list(e["by"].values())
         worst = float("nan") if any(v != v for v in values) else (min if e["at_least"] else max)(values)
         sign = "at least" if e["at_least"] else "at most"
-        what = what.replace("|", "\\|")
-        print(f"| {what} | {number(worst)} | {sign} {number(e['bound'])} | {margin(e, worst)} | `{'`, `'.join(sorted(e['tests']))}` |")
+        what = what.replace("|", "\\|") + (" *" if len(sizes) > 1 and True in e["full"] else "")
+        by = "all" if len(e["by"]) == len(builds) else ", ".join(e["by"])
+        print(f"| {what} | {number(worst)} | {sign} {number(e['bound'])} | {margin(e, worst)} | {by} | `{'`, `'.join(sorted(e['tests']))}` |")
     print()
     for picture in sorted((root / "doc/images/hard_cases").glob(f"{row['row']:02d}_*.png")):
         print(f"![{row['case']}](images/hard_cases/{picture.name})\n")
