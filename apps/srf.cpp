@@ -18,6 +18,8 @@ struct Command {
 constexpr Command kCommands[] = {
     {"synth", "write a synthetic capture by formula, or the exact picture of a scene of it"},
     {"calibrate", "photographs to a capture's cameras and lights, or a calibration board to print"},
+    {"import", "other programs' files and data sets' layouts to a capture"},
+    {"export", "a capture to other programs' files"},
     {"check", "examine a capture and say what is wrong, where, and how to mend it"},
     {"acquire", "capture to SRF: silhouettes, visual hull, registered views"},
     {"model", "make the deformable model inside an SRF"},

@@ -1,6 +1,7 @@
 // A capture: calibrated views (i_c), calibrated lights (i_l), and which photograph shows which view under which light.
 #pragma once
 
+#include <array>
 #include <compare>
 #include <cstdint>
 #include <filesystem>
@@ -68,6 +69,9 @@ struct Capture {
   Transfer integer_transfer = Transfer::srgb;  ///< how 8/16-bit photographs encode light; EXR is always linear
   std::vector<CaptureLight> lights;            ///< one of kind `captured` where the capture names none
   std::vector<CaptureView> views;
+  /// What another program did to the poses that it was given, or an import to those of a file: rows of a 3 x 4 matrix
+  /// from the old space to acquisition space, its scale included. A record; it is already in all that stands here.
+  std::optional<std::array<double, 12>> applied_transform;
   std::optional<Box<AcquisitionSpace>> bounds;  ///< a box that holds the object, where the capture tells
 
   bool unknownIllumination() const { return lights.size() == 1 && lights[0].kind == LightKind::captured; }

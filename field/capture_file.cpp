@@ -16,7 +16,7 @@ namespace fs = std::filesystem;
 
 // Keys of nerfstudio, instant-ngp and the tools around them that say nothing this project needs: accepted unread.
 #define SRF_FOREIGN_TOP_KEYS                                                                                          \
-  "aabb_scale", "render_aabb", "render_aabb_to_local", "applied_transform", "applied_scale", "ply_file_path",         \
+  "aabb_scale", "render_aabb", "render_aabb_to_local", "applied_scale", "ply_file_path",                              \
       "train_filenames", "val_filenames", "test_filenames", "orientation_override", "auto_scale_poses_override",      \
       "scale", "offset", "up", "from_mitsuba", "from_na", "importance_sampling", "n_extra_learnable_dims",            \
       "integer_depth_scale", "depth_unit_scale_factor", "enable_depth_loading", "enable_ray_loading", "fix_premult",  \
@@ -89,12 +89,13 @@ class Reader {
 
   Capture read() {
     root_.onlyKeys({SRF_LENS_KEYS, "camera_angle_x", "camera_angle_y", "is_fisheye", "aabb", "units", "color_space",
-                    "lights", "frames", SRF_FOREIGN_TOP_KEYS});
+                    "applied_transform", "lights", "frames", SRF_FOREIGN_TOP_KEYS});
     capture_.folder = folder_;
     if (const auto units = root_.find("units")) capture_.units = units->string();
     if (const auto space = root_.find("color_space"))
       capture_.integer_transfer = space->choice({"srgb", "lin_rec709"}) == 0 ? Transfer::srgb : Transfer::linear;
     if (const auto box = root_.find("aabb")) readBounds(*box);
+    if (const auto applied = root_.find("applied_transform")) readAppliedTransform(*applied);
     if (const auto lights = root_.find("lights")) readLights(*lights);
     const JsonNode frames = root_["frames"];
     if (frames.size() == 0) throw frames.error("is empty, expected at least one frame");
@@ -122,6 +123,16 @@ class Reader {
     Box<AcquisitionSpace> box{node.at(0).vec3(), node.at(1).vec3()};
     if (!(minComponent(box.max - box.min) > 0)) throw node.error("has a min that is not below max on every axis");
     capture_.bounds = box;
+  }
+
+  void readAppliedTransform(const JsonNode& node) {
+    if (node.size() != 3 && node.size() != 4) throw node.error("expected the three or four rows of a matrix");
+    std::array<double, 12> m{};
+    for (std::size_t i = 0; i < 3; ++i) {
+      const auto row = node.at(i).numbers(4);
+      std::copy(row.begin(), row.end(), m.begin() + static_cast<std::ptrdiff_t>(4 * i));
+    }
+    capture_.applied_transform = m;
   }
 
   void readLights(const JsonNode& node) {
@@ -258,6 +269,11 @@ void writeCapture(const fs::path& folder, const Capture& capture) {
   root["units"] = capture.units;
   root["color_space"] = capture.integer_transfer == Transfer::srgb ? "srgb" : "lin_rec709";
   if (capture.bounds) root["aabb"] = {vec3Json(capture.bounds->min), vec3Json(capture.bounds->max)};
+  if (const auto& m = capture.applied_transform) {
+    root["applied_transform"] = Json::array();
+    for (std::size_t i = 0; i < 12; i += 4)
+      root["applied_transform"].push_back({(*m)[i], (*m)[i + 1], (*m)[i + 2], (*m)[i + 3]});
+  }
   if (!capture.unknownIllumination())
     for (const CaptureLight& light : capture.lights) root["lights"].push_back(lightJson(light));
   root["frames"] = Json::array();

@@ -15,6 +15,8 @@ packages=(
   nlohmann-json3-dev libcli11-dev libzstd-dev libxxhash-dev
   # tests and benchmarks
   libgtest-dev librapidcheck-dev libbenchmark-dev
+  # XML and MATLAB files of captures in other formats
+  libpugixml-dev libmatio-dev
   # videos; structure from motion, both run as programs
   ffmpeg colmap
 )
