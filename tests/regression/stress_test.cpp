@@ -172,8 +172,10 @@ void tryDeformation(const test::FormulaField& field, FrameRenderer& renderer, co
   if (folds) return;
   double sum = 0, count = 0;
   for (int i = 0; i < kPicture * kPicture; ++i) {
-    if (one.rgba.data()[4 * i + 3] == 0) continue;
-    const double value = one.rgba.data()[4 * i + 1] / kAlbedo;
+    // Surfels smaller than a pixel have several samples in it, so that the rim is covered in part.
+    const double alpha = one.rgba.data()[4 * i + 3];
+    if (alpha == 0) continue;
+    const double value = one.rgba.data()[4 * i + 1] / (alpha * kAlbedo);
     if (value == 0)
       ++tally.dark;  // no photograph covers it
     else
