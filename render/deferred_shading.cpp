@@ -70,7 +70,7 @@ void sortOperations(ShadingBatch& batch) {
 DeferredShading::DeferredShading(std::vector<StoreGeometry> geometry, BlockCache& cache)
     : geometry_(std::move(geometry)), cache_(cache) {}
 
-void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder order) const {
+void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder order) {
   std::vector<Run> runs;
   int widest = 0;
   for (const StoreGeometry& geometry : geometry_) widest = std::max(widest, geometry.lightPad());
@@ -106,10 +106,9 @@ void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder or
   // In the order of the plan, so that blocks are used as they come. Threads take the next job when they are free.
   const bool sorted = order == ExecutionOrder::sorted;
   if (sorted) {
-    std::vector<std::uint64_t> keys;
-    keys.reserve(jobs.size());
-    for (const Job& job : jobs) keys.push_back(runs[job.begin].key);
-    cache_.plan(keys);
+    last_plan_.clear();
+    for (const Job& job : jobs) last_plan_.push_back(runs[job.begin].key);
+    cache_.plan(last_plan_);
   }
   std::atomic<std::size_t> next{0};
   parallelFor(sorted ? static_cast<std::size_t>(threadCount()) : 1, 1, [&](std::size_t, std::size_t) {

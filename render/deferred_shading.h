@@ -32,11 +32,14 @@ class DeferredShading {
   /// `geometry[i]` is that of ViewId{i}'s store.
   DeferredShading(std::vector<StoreGeometry> geometry, BlockCache& cache);
   /// Fills `results` of every batch. Light vectors must be resolved, operations sorted.
-  void execute(std::span<ShadingBatch> batches, ExecutionOrder order = ExecutionOrder::sorted) const;
+  void execute(std::span<ShadingBatch> batches, ExecutionOrder order = ExecutionOrder::sorted);
+  /// The blocks that the last sorted execution asked for, in their order: another frame is likely to want them too.
+  const std::vector<std::uint64_t>& lastPlan() const { return last_plan_; }
 
  private:
   std::vector<StoreGeometry> geometry_;
   BlockCache& cache_;
+  std::vector<std::uint64_t> last_plan_;
 };
 
 /// The colour of each target: its operations' results, added in their order in the batch. The same bits whatever the

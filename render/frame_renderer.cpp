@@ -8,10 +8,11 @@
 #include <numeric>
 
 #include "base/check.h"
+#include "base/memory.h"
 #include "base/numeric.h"
 #include "base/parallel.h"
-#include "render/deferred_shading.h"
 #include "render/guided_interpolation.h"
+#include "render/level_choice.h"
 #include "render/light_weights.h"
 #include "render/look_up.h"
 #include "render/projected_weights.h"
@@ -172,8 +173,10 @@ std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> onlyOrientation(const D
 struct PixelRays {
   std::vector<Ray<ObjectSpace>> rays;
   std::vector<std::uint32_t> pixel;  ///< of each ray
+  double samples_per_pixel = 1;
 
   void add(const Camera<ObjectSpace>& camera, std::span<const Vec2> pattern, int x, int y) {
+    samples_per_pixel = static_cast<double>(pattern.size());
     for (const Vec2& at : pattern)
       if (const auto ray = camera.ray({x + at.x, y + at.y})) {
         rays.push_back(*ray);
@@ -272,6 +275,8 @@ struct FrameRenderer::State {
   std::vector<AcquiredLights> lists;
   std::vector<std::uint32_t> list_of_view;
   std::optional<ViewSelection> selection;
+  std::optional<LevelChoice> levels;
+  std::size_t working_bytes = 0;  ///< for blocks, operations and weights together
   std::optional<BlockCache> cache;
   std::optional<DeferredShading> shading;
   SharedStandIns stand_ins;
@@ -299,7 +304,7 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
     stores.push_back(nullptr);
     if (!view.file.empty()) {
       const std::filesystem::path file = srf_folder / view.file;
-      stores.back() = std::make_unique<ReflectanceStore>(file);
+      stores.back() = std::make_unique<ReflectanceStore>(file, settings.direct_reads);
       const ReflectanceStore& store = *stores.back();
       if (store.contentHash() != view.hash || store.geometry().light_count != static_cast<int>(view.lights.size()))
         throw badInput(file.string(),
@@ -318,7 +323,16 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
     if (same == lists.end()) lists.emplace_back(view.lights, manifest.lights, box, settings.accuracy.lights);
   }
   selection.emplace(std::move(views), model.visible, settings.accuracy.views);
-  cache.emplace(opened, settings.memory_bytes / 2);
+  levels.emplace(selection->views(), box, settings.accuracy.texels);
+  // What the program holds already (the model, its tree, the stores' indices) counts too. An eighth is for what passes:
+  // the picture, scratch memory, what the allocator keeps.
+  const std::size_t held = residentBytes() + settings.memory_bytes / 8;
+  const std::size_t least = settings.memory_bytes / 4;
+  working_bytes = settings.memory_bytes > held + least ? settings.memory_bytes - held : least;
+  BlockCache::ReadAhead ahead;
+  ahead.bytes = std::clamp<std::size_t>(working_bytes / 16, std::size_t{1} << 20, std::size_t{256} << 20);
+  const std::size_t half = working_bytes / 2;
+  cache.emplace(opened, settings.cache_bytes.value_or(half > ahead.bytes ? half - ahead.bytes : 1), ahead);
   shading.emplace(std::move(geometry), *cache);
 }
 
@@ -375,7 +389,7 @@ std::optional<GuidedLighting> FrameRenderer::State::guidedLighting(const Deforme
   guide.shadow_rays = settings.accuracy.shadow_rays;
   guide.min_distance = lighting.options().min_distance;
   guide.model_alone = settings.model_alone;
-  stand_ins.prepare(lighting, settings.memory_bytes / 8);
+  stand_ins.prepare(lighting, working_bytes / 8);
   return std::optional<GuidedLighting>(std::in_place, *settings.fit, lighting, stand_ins, at_rest ? *rest : deformed,
                                        selection->views(), list_of_view, guide);
 }
@@ -426,6 +440,7 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
     query.points = {hit.point, static_cast<std::size_t>(hit.count)};
     query.point_weights = {hit.weight, static_cast<std::size_t>(hit.count)};
     const ViewSelection::Result seen = selection->select(query, allowed, scratch, chosen);  // M12
+    levels->apply(camera, in.samples_per_pixel, hit, look_up, view, chosen);
     if (guided) {
       directions.push_back(view);
       first_chosen.push_back(all_chosen.size());
@@ -479,7 +494,7 @@ void FrameRenderer::State::gather(const Camera<ObjectSpace>& camera, const Defor
   out.shadow_rays = guided_block.shadow_rays;
   out.model_values = guided_block.model_values;
   lap(kWeights);
-  sortOperations(out.shading);
+  if (settings.order == ExecutionOrder::sorted) sortOperations(out.shading);
   lap(kSort);
 }
 
@@ -510,11 +525,12 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   Layers layers(s.settings.layers, s.settings.accuracy.views, width, height);
   const int blocks = ((width + kBlock - 1) / kBlock) * ((height + kBlock - 1) / kBlock);
   // Gathered in groups until the budget is full; a group is small against it, and large enough for the threads.
-  const std::size_t budget = s.settings.memory_bytes / 2;
+  const std::size_t budget = s.working_bytes / 2;
   const std::size_t ray_bytes = 2048;  // a hit's operations, weights and share of new vectors, generously
   const std::size_t block_bytes = kBlock * kBlock * pattern.size() * ray_bytes;
   const int group = static_cast<int>(std::clamp<std::size_t>(budget / 4 / block_bytes, 1, 256));
   std::uint64_t hit_count = 0, operation_count = 0, vector_count = 0;
+  std::vector<std::uint64_t> first_plan;  // of the frame
   for (int next = 0; next < blocks;) {
     std::vector<PixelBlock> batch;
     std::size_t bytes = 0;
@@ -553,7 +569,8 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       s.shared.resolve(block.shading.lights);
       shading.push_back(std::move(block.shading));
     }
-    s.shading->execute(shading);  // M15
+    s.shading->execute(shading, s.settings.order);  // M15
+    if (first_plan.empty()) first_plan = s.shading->lastPlan();
     lap("execute");
     parallelFor(batch.size(), 16, [&](std::size_t begin, std::size_t end) {
       for (std::size_t b = begin; b < end; ++b) {
@@ -584,6 +601,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     if (model_values) s.reporter.count("model_values", model_values);
   }
 
+  s.cache->plan(first_plan);  // while the next frame is gathered
   Frame frame;
   frame.rgba = ImageF(width, height, 4);
   std::size_t not_finite = 0;
@@ -603,7 +621,10 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   s.reporter.figure("cache.reread", static_cast<double>(statistics.reread));
   s.reporter.figure("cache.bytes_read", static_cast<double>(statistics.bytes_read));
   s.reporter.figure("cache.peak_bytes", static_cast<double>(statistics.peak_bytes));
+  s.reporter.figure("cache.requests", static_cast<double>(statistics.requests));
+  s.reporter.figure("cache.peak_ahead_bytes", static_cast<double>(statistics.peak_ahead_bytes));
   s.reporter.figure("seconds.reading", statistics.seconds_reading);
+  s.reporter.figure("seconds.waiting", statistics.seconds_waiting);
   for (const auto& [stage, seconds] : s.seconds) s.reporter.figure("seconds." + stage, seconds);
   return frame;
 }

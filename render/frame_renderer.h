@@ -4,6 +4,7 @@
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -15,6 +16,7 @@
 #include "field/srf_folder.h"
 #include "model/deformed_model.h"
 #include "model/reflectance_fit.h"
+#include "render/deferred_shading.h"
 #include "render/light_set.h"
 #include "render/pixel_explanation.h"
 
@@ -37,7 +39,11 @@ struct FrameSettings {
   /// Per pixel, a regular or stratified pattern (deterministic); more where surfels are smaller than a pixel, up to 64.
   int samples = 1;
   std::set<std::string> layers;                     ///< groups asked for; others cost nothing
-  std::size_t memory_bytes = std::size_t{1} << 30;  ///< for blocks, operations and weights together
+  std::size_t memory_bytes = std::size_t{1} << 30;  ///< of the whole program: what is left is for blocks and operations
+  // For measuring:
+  std::optional<std::size_t> cache_bytes;         ///< for blocks; none: half of what is left
+  bool direct_reads = false;                      ///< past the system's cache of files
+  ExecutionOrder order = ExecutionOrder::sorted;  ///< immediate: hit by hit
 };
 
 class FrameRenderer {

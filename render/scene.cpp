@@ -107,7 +107,7 @@ SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) 
 }
 
 Accuracy readAccuracy(const JsonNode& node) {
-  node.onlyKeys({"views", "lights", "frame", "light_sharing", "min_distance", "shadow_rays"});
+  node.onlyKeys({"views", "lights", "frame", "light_sharing", "min_distance", "texels", "shadow_rays"});
   Accuracy accuracy;
   if (const auto views = node.find("views")) accuracy.views = static_cast<int>(views->integer(1, 64));
   if (const auto lights = node.find("lights")) accuracy.lights = static_cast<int>(lights->integer(1, 64));
@@ -115,6 +115,12 @@ Accuracy readAccuracy(const JsonNode& node) {
     accuracy.frame = frame->choice({"bisector", "polar"}) == 0 ? FrameMode::bisector : FrameMode::polar;
   if (const auto degrees = node.find("light_sharing")) accuracy.light_sharing = numberWithin(*degrees, 0, 90);
   if (const auto distance = node.find("min_distance")) accuracy.min_distance = numberWithin(*distance, 1e-9, 1);
+  if (const auto texels = node.find("texels")) {
+    accuracy.texels = numberWithin(*texels, 0, 1e6);
+    if (accuracy.texels > 0 && accuracy.texels < 1.5)
+      throw texels->error("found " + std::to_string(accuracy.texels) +
+                          ", expected 0 (the photographs as they are) or at least 1.5");
+  }
   if (const auto rays = node.find("shadow_rays")) accuracy.shadow_rays = static_cast<int>(rays->integer(0, 1000000));
   return accuracy;
 }

@@ -62,6 +62,7 @@ struct Accuracy {
   FrameMode frame = FrameMode::bisector;
   double light_sharing = 2;    ///< degrees over which rotated light weights are shared; 0: exact
   double min_distance = 1e-3;  ///< least distance of a point light in A(d), of the object's diameter
+  double texels = 2;           ///< of a photograph across a sample before a coarser level of it is taken; 0: never
   int shadow_rays = 32;        ///< most a hit for environments; of their other lights the captured ones' shadows tell
 };
 

@@ -71,6 +71,7 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
     geometry.image_width = geometry.image_height = options.size;
     geometry.tiles_x = geometry.tiles_y = (options.size + kTile - 1) / kTile;
     geometry.light_count = options.lights;
+    if (options.levels) geometry.levels = geometry.mostLevels();
     Image8 coverage(geometry.cropWidth(), geometry.cropHeight(), 1);
     std::vector<std::vector<std::uint16_t>> tiles(geometry.tileCount(),
                                                   std::vector<std::uint16_t>(geometry.blockHalves(), 0));
@@ -93,9 +94,14 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
         }
       }
     view.file = "views/" + view.name + ".blk";
-    ReflectanceStoreWriter writer(srf_folder / view.file, geometry, coverage);
-    for (int t = 0; t < geometry.tileCount(); ++t)
-      writer.writeTile(t % geometry.tiles_x, t / geometry.tiles_x, tiles[t]);
+    ReflectanceStoreWriter writer(srf_folder / view.file, geometry, coverage, options.coding);
+    for (int t = 0; t < geometry.tileCount(); ++t) {
+      bool covered = false;
+      for (int i = 0; i < kTile * kTile; ++i)
+        covered = covered ||
+                  coverage.at(t % geometry.tiles_x * kTile + i % kTile, t / geometry.tiles_x * kTile + i / kTile) > 0;
+      if (covered) writer.writeTile(t % geometry.tiles_x, t / geometry.tiles_x, tiles[t]);
+    }
     view.hash = writer.commit();
     manifest.views.push_back(view);
   }

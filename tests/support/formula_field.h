@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <functional>
 
+#include "field/reflectance_store.h"
 #include "field/srf_folder.h"
 #include "model/deformable_model.h"
 
@@ -22,6 +23,8 @@ struct FormulaFieldOptions {
   Vec3 middle;               ///< of the sphere in acquisition space
   double radius = 1;         ///< of it; distances above are in radii
   ModelOptions model;
+  bool levels = false;  ///< coarser ones of each view
+  StoreCoding coding;
 };
 
 struct FormulaField {

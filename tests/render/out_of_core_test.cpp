@@ -1,0 +1,261 @@
+// Frames from compressed stores, from coarser levels, and from a disk past a cache of few blocks.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+#include "base/half.h"
+#include "base/parallel.h"
+#include "render/frame_renderer.h"
+#include "render/projected_weights.h"
+#include "tests/support/formula_field.h"
+#include "tests/support/test_support.h"
+
+namespace srf {
+namespace {
+
+namespace fs = std::filesystem;
+
+TEST(ProjectedWeights, GiveTheProductThatTheExpandedBlockGives) {
+  std::mt19937 random(4);
+  std::normal_distribution<float> normal;
+  const StoreGeometry g{16, 16, 0, 0, 1, 1, 37};
+  for (const int rank_pad : {8, 24}) {
+    ReflectanceBlock block;
+    block.pad = rank_pad;
+    block.halves.resize(static_cast<std::size_t>(kTile) * kTile * 3 * rank_pad);
+    for (auto& half : block.halves) half = halfFromFloat(std::round(100 * normal(random)));
+    block.basis.resize(static_cast<std::size_t>(g.light_count) * rank_pad);
+    for (float& value : block.basis) value = normal(random);
+    // Two shared vectors in shares, a vector of its own, and an entry.
+    const std::size_t size = 3 * static_cast<std::size_t>(g.lightPad());
+    std::vector<float> shared[2];
+    LightGather lights;
+    for (auto& vector : shared)
+      for (std::size_t i = 0; i < size; ++i) vector.push_back(normal(random));
+    for (std::size_t i = 0; i < size; ++i) lights.own.push_back(normal(random));
+    lights.vectors = {shared[0].data(), shared[1].data()};
+    LightWeights weights;
+    weights.shared = {1, 0, 0, 0};
+    weights.share = {0.25f, 0.5f, 0, 0};
+    weights.own = 0;
+    weights.entries = 1;
+    lights.entries.push_back({30, {1, -2, 3}});
+    ShadingOperation operation{};
+    operation.x = 3, operation.y = 7;
+    for (float& tap : operation.tap) tap = 0.25f;
+
+    ProjectedWeights projected(block, g);
+    for (int round = 0; round < 2; ++round) {  // the second time from what is held
+      const Rgb got = reflectanceDot(block.halves.data(), block.pad, operation, projected.of(lights, weights));
+      for (int c = 0; c < 3; ++c) {
+        double want = 0, terms = 0;
+        for (int j = 0; j < g.light_count; ++j) {
+          const std::size_t at = static_cast<std::size_t>(c) * g.lightPad() + j;
+          double weight = 0.25 * shared[1][at] + 0.5 * shared[0][at] + lights.own[at];
+          if (j == 30) weight += lights.entries[0].weight[c];
+          for (int t = 0; t < 4; ++t)
+            for (int k = 0; k < rank_pad; ++k) {
+              const std::size_t texel = static_cast<std::size_t>(7 + t / 2) * kTile + 3 + t % 2;
+              const double term = 0.25 * floatFromHalf(block.halves[(texel * 3 + c) * rank_pad + k]) *
+                                  block.basis[static_cast<std::size_t>(j) * rank_pad + k] * weight;
+              want += term, terms += std::fabs(term);
+            }
+        }
+        EXPECT_NEAR(got[c], want, terms * std::ldexp(g.light_count + rank_pad / 8 + 16, -24)) << rank_pad;
+      }
+    }
+  }
+}
+
+Vec3 glossy(const Vec3& p, const Vec3& l, const Vec3& v) {
+  const double cosine = dot(p, l);
+  if (cosine <= 0) return {};
+  const Vec3 half = l + v;
+  const double gloss = 0.3 * std::pow(std::max(0.0, dot(p, half) / std::max(length(half), 1e-9)), 30);
+  const double band = 0.6 + 0.4 * std::sin(14 * p.z);
+  return cosine * (Vec3{0.25 * band, 0.2, 0.2 - 0.1 * band} + gloss * Vec3{1, 1, 1});
+}
+
+/// The same with noise like that of photons: 2 % at white.
+Vec3 noisy(const Vec3& p, const Vec3& l, const Vec3& v) {
+  static std::mt19937 random(1);
+  std::normal_distribution<double> normal;
+  Vec3 value = glossy(p, l, v);
+  for (int c = 0; c < 3; ++c)
+    value[c] = std::max(0.0, value[c] + 0.02 * std::sqrt((value[c] + 0.016) * 0.318) * normal(random));
+  return value;
+}
+
+class OutOfCoreTest : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = std::make_unique<test::TemporaryFolder>();
+    test::FormulaFieldOptions options;
+    options.views = 14, options.lights = 64, options.size = 96, options.subdivision = 5, options.levels = true;
+    clean_ = std::make_unique<test::FormulaField>(test::makeSphereField(*folder_ / "clean.srf", options, glossy));
+    noisy_ = std::make_unique<test::FormulaField>(test::makeSphereField(*folder_ / "noisy.srf", options, noisy));
+    options.coding.compression = Compression::pca;
+    compressed_ = std::make_unique<test::FormulaField>(test::makeSphereField(*folder_ / "pca.srf", options, noisy));
+  }
+  static void TearDownTestSuite() {
+    for (auto* field : {&clean_, &noisy_, &compressed_}) field->reset();
+    folder_.reset();
+  }
+  static Deformation twist() {
+    const char* text = R"([{"type":"twist","axis":[0,0,1],"degrees_per_unit":120}])";
+    return AnimatedDeformation::parse(parseJson(text, "test"), ".", Reporter::silent()).at(0);
+  }
+  static FrameLights lights() {
+    FrameLights lights;
+    for (int i = 0; i < 40; ++i)
+      lights.distant.push_back({Direction<ObjectSpace>::fromUnit(test::fibonacci(i, 40)), {0.1, 0.1, 0.12}});
+    lights.near_lights.push_back({Point<ObjectSpace>(2, -3, 1), {3, 3, 3}});
+    return lights;
+  }
+  static Camera<ObjectSpace> camera(int size, double distance) {
+    Camera<ObjectSpace> camera;
+    camera.lens = pinholeFromFov(size, size, 36);
+    camera.pose = *lookAt(Point<ObjectSpace>(0.1 * distance, -distance, 0.2 * distance), Point<ObjectSpace>(),
+                          Vector<ObjectSpace>(0, 0, 1));
+    return camera;
+  }
+  /// `figures`: of the reporter afterwards.
+  static Frame render(const test::FormulaField& field, const FrameSettings& settings, const Camera<ObjectSpace>& camera,
+                      const Deformation& psi = twist(), std::map<std::string, double>* figures = nullptr) {
+    DeformedModel deformed(field.model);
+    deformed.deform(psi);
+    Reporter reporter(ProgressMode::none, LogLevel::error);
+    FrameRenderer renderer(field.folder, field.manifest, field.model, settings, reporter);
+    Frame frame = renderer.render(camera, deformed, lights());
+    if (figures) *figures = reporter.figures();
+    return frame;
+  }
+  static double distance(const Frame& a, const Frame& b) {
+    double sum = 0;
+    for (std::size_t i = 0; i < a.rgba.data().size(); ++i)
+      if (i % 4 < 3) sum += std::pow(static_cast<double>(a.rgba.data()[i]) - b.rgba.data()[i], 2);
+    return std::sqrt(sum / static_cast<double>(a.rgba.data().size()));
+  }
+  static std::size_t blockBytes() { return ReflectanceStore(noisy_->folder / "views/v0.blk").geometry().blockBytes(); }
+
+  static std::unique_ptr<test::TemporaryFolder> folder_;
+  static std::unique_ptr<test::FormulaField> clean_, noisy_, compressed_;
+};
+std::unique_ptr<test::TemporaryFolder> OutOfCoreTest::folder_;
+std::unique_ptr<test::FormulaField> OutOfCoreTest::clean_, OutOfCoreTest::noisy_, OutOfCoreTest::compressed_;
+
+TEST_F(OutOfCoreTest, NeitherThreadsNorCacheSizeChangeABitOfALosslessOrCompressedFrame) {
+  for (const auto* field : {noisy_.get(), compressed_.get()}) {
+    std::optional<Frame> want;
+    for (const int threads : {1, 2, 3})
+      for (const std::size_t blocks : {1, 3, 1000}) {
+        setThreadCount(threads);
+        FrameSettings settings;
+        settings.cache_bytes = blocks * blockBytes();
+        const Frame got = render(*field, settings, camera(64, 5));
+        if (!want) want = got;
+        EXPECT_EQ(got.rgba.data(), want->rgba.data()) << threads << " threads, " << blocks << " blocks";
+      }
+    setThreadCount(0);
+    FrameSettings settings;
+    settings.order = ExecutionOrder::immediate;
+    EXPECT_EQ(render(*field, settings, camera(64, 5)).rgba.data(), want->rgba.data());
+  }
+}
+
+TEST_F(OutOfCoreTest, EveryBlockIsReadOnceThroughACacheOfThreeBlocksThatKeepsToItsBudget) {
+  for (const auto* field : {noisy_.get(), compressed_.get()}) {
+    FrameSettings settings;
+    settings.cache_bytes = 3 * blockBytes();
+    std::map<std::string, double> sorted, immediate;
+    render(*field, settings, camera(64, 5), twist(), &sorted);
+    settings.order = ExecutionOrder::immediate;
+    render(*field, settings, camera(64, 5), twist(), &immediate);
+    EXPECT_EQ(sorted["cache.reread"], 0);
+    EXPECT_LE(sorted["cache.peak_bytes"], 3.0 * static_cast<double>(blockBytes()));
+    if (field == noisy_.get()) {
+      EXPECT_GT(immediate["cache.misses"], 10 * sorted["cache.misses"]);
+    }
+  }
+}
+
+TEST_F(OutOfCoreTest, PrincipalComponentsComeAsNearToTheTruthAsLosslessBlocks) {
+  const Frame truth = render(*clean_, {}, camera(96, 4)), lossless = render(*noisy_, {}, camera(96, 4)),
+              pca = render(*compressed_, {}, camera(96, 4));
+  const double noise = distance(lossless, truth), error = distance(pca, truth);
+  // What single photographs hold, where noise does not average out over lights.
+  double squares[2] = {0, 0}, halves = 0, bytes = 0;
+  for (const StoredView& view : clean_->manifest.views) {
+    const ReflectanceStore a(clean_->folder / view.file), b(noisy_->folder / view.file),
+        c(compressed_->folder / view.file);
+    const StoreGeometry& g = a.geometry();
+    std::vector<std::uint16_t> block(g.blockHalves()), other(g.blockHalves());
+    for (int tile = 0; tile < g.tileCount(); ++tile) {
+      a.readTile(tile % g.tiles_x, tile / g.tiles_x, block);
+      for (int k = 0; k < 2; ++k) {
+        (k ? c : b).readTile(tile % g.tiles_x, tile / g.tiles_x, other);
+        for (std::size_t i = 0; i < block.size(); ++i)
+          squares[k] += std::pow(static_cast<double>(floatFromHalf(block[i])) - floatFromHalf(other[i]), 2);
+      }
+    }
+    for (int y = 0; y < g.cropHeight(); ++y)
+      for (int x = 0; x < g.cropWidth(); ++x) halves += a.coverage().at(x, y) > 0 ? 6.0 * g.light_count : 0.0;
+    bytes += static_cast<double>(c.bytesOnDisk());
+    EXPECT_GT(c.fidelity().relative_error, 0);
+  }
+  const double photographs = 10 * std::log10(squares[1] / squares[0]), frame = 20 * std::log10(error / noise);
+  std::printf(
+      "against the clean truth: photographs %.2f dB, frame %.2f dB of the lossless ones' error; halves / bytes %.1f\n",
+      photographs, frame, halves / bytes);
+  EXPECT_LE(photographs, 0.5);
+  EXPECT_LE(frame, 0.5);
+}
+
+// ---- levels ----
+
+TEST_F(OutOfCoreTest, APhotographFromWhereItWasTakenComesFromTheFinestLevel) {
+  const StoredView& view = clean_->manifest.views[3];
+  Camera<ObjectSpace> camera;
+  camera.lens = view.camera.lens;
+  camera.pose =
+      *lookAt(Point<ObjectSpace>(view.camera.pose.origin().raw()), Point<ObjectSpace>(), Vector<ObjectSpace>(0, 0, 1));
+  FrameSettings settings;
+  const Frame with = render(*clean_, settings, camera, {});
+  settings.accuracy.texels = 0;
+  EXPECT_EQ(render(*clean_, settings, camera, {}).rgba.data(), with.rgba.data());
+}
+
+TEST_F(OutOfCoreTest, ASmallPictureIsNearerToItsTrueMeanFromCoarserLevelsAndReadsLess) {
+  FrameSettings fine, coarse, truth;
+  fine.accuracy.texels = truth.accuracy.texels = 0;
+  truth.samples = 64;
+  std::map<std::string, double> read_fine, read_coarse;
+  const auto small = camera(24, 6);
+  const Frame want = render(*noisy_, truth, small, {});
+  const Frame a = render(*noisy_, fine, small, {}, &read_fine), b = render(*noisy_, coarse, small, {}, &read_coarse);
+  // At the silhouette one sample a pixel decides on coverage: pixels that are wholly covered alone tell.
+  double errors[2] = {0, 0};
+  for (std::size_t i = 0; i < want.rgba.data().size(); i += 4)
+    if (want.rgba.data()[i + 3] == 1)
+      for (std::size_t c = i; c < i + 3; ++c) {
+        errors[0] += std::pow(a.rgba.data()[c] - want.rgba.data()[c], 2);
+        errors[1] += std::pow(b.rgba.data()[c] - want.rgba.data()[c], 2);
+      }
+  std::printf("error %.5f from the finest level, %.5f from coarser ones; MB read %.2f and %.2f\n", std::sqrt(errors[0]),
+              std::sqrt(errors[1]), read_fine["cache.bytes_read"] / 1e6, read_coarse["cache.bytes_read"] / 1e6);
+  EXPECT_LT(errors[1], 0.7 * errors[0]);
+  EXPECT_LT(read_coarse["cache.bytes_read"], 0.6 * read_fine["cache.bytes_read"]);
+}
+
+TEST_F(OutOfCoreTest, MoreSamplesAPixelTakeFinerLevels) {
+  FrameSettings one, many;
+  many.samples = 64;
+  std::map<std::string, double> read_one, read_many;
+  render(*noisy_, one, camera(24, 6), {}, &read_one);
+  render(*noisy_, many, camera(24, 6), {}, &read_many);
+  EXPECT_GT(read_many["cache.bytes_read"], 1.5 * read_one["cache.bytes_read"]);
+}
+
+}  // namespace
+}  // namespace srf
