@@ -28,7 +28,9 @@ constexpr std::size_t kFewHits = 64;
 
 RTCDevice device() {
   static RTCDevice device = [] {
-    RTCDevice d = rtcNewDevice("start_threads=0");
+    // The cache is for subdivision surfaces, of which there are none; it would take 128 MiB of what the program may
+    // hold.
+    RTCDevice d = rtcNewDevice("start_threads=0,tessellation_cache_size=0");
     if (!d) throw Error(ErrorKind::failed, "Embree could not be started");
     rtcSetDeviceErrorFunction(
         d, [](void*, RTCError, const char* text) { std::fprintf(stderr, "embree: %s\n", text); }, nullptr);

@@ -111,7 +111,7 @@ class DeferredShadingTest : public ::testing::Test {
                                            CacheStatistics* statistics = nullptr) {
     const ReflectanceStore* stores[] = {&stores_[0], &stores_[1]};
     BlockCache cache(stores, cache_bytes);
-    const DeferredShading shading(geometry_, cache);
+    DeferredShading shading(geometry_, cache);
     for (auto& batch : batches_) batch.results.clear();
     shading.execute(batches_, order);
     if (statistics) *statistics = cache.statistics();
