@@ -9,6 +9,7 @@ find_package(CLI11 2.1 REQUIRED)                # command lines (apps/)
 find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc photo calib3d aruco)
 find_package(Eigen3 3.4 CONFIG REQUIRED)        # before CGAL, whose own FindEigen3 hides the config
 find_package(CGAL 5.5 REQUIRED)                 # point clouds, mesh repair (acquire/shape_import.cpp); GPL-3.0-or-later
+find_package(hwy 1.0.3 CONFIG REQUIRED)         # vector code, chosen at run time (render/*_kernels.cpp)
 find_package(PkgConfig REQUIRED)
 pkg_check_modules(zstd REQUIRED IMPORTED_TARGET libzstd)    # blocks (field/reflectance_store.cpp)
 pkg_check_modules(xxhash REQUIRED IMPORTED_TARGET libxxhash)  # checksums (base/files.cpp)
