@@ -102,13 +102,20 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     }
     const SurfaceHit& hit = hits[met[m]];
     if (first_of_pixel && layers)
-      layers->set(
-          static_cast<int>(pixels[met[m]] % width), static_cast<int>(pixels[met[m]] / width),
-          {hit, look_ups[m], queries[m].view, chosen.of(m), deformed.model().kind == ModelKind::surfels ? hit.count : 1});
+      layers->set(static_cast<int>(pixels[met[m]] % width), static_cast<int>(pixels[met[m]] / width),
+                  {hit, look_ups[m], queries[m].view, chosen.of(m),
+                   deformed.model().kind == ModelKind::surfels ? hit.count : 1});
     if (explained) {
       const auto views = chosen.of(m);
-      explained->push_back({rays[met[m]], hit, look_ups[m], queries[m].view, chosen.result[m],
-                            {views.begin(), views.end()}, {}, {}, {}});
+      explained->push_back({rays[met[m]],
+                            hit,
+                            look_ups[m],
+                            queries[m].view,
+                            chosen.result[m],
+                            {views.begin(), views.end()},
+                            {},
+                            {},
+                            {}});
     }
   }
   out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
@@ -130,9 +137,9 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
       continue;
     }
     plan.lighting.gather(list,
-                    {look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
-                     look_up.acquisition_from_object.inverse() * look_up.normal},
-                    out.shading.lights);
+                         {look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
+                          look_up.acquisition_from_object.inverse() * look_up.normal},
+                         out.shading.lights);
   }
   out.shading.lights.known = {};
   out.shadow_rays = guided_block.shadow_rays;

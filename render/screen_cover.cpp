@@ -42,7 +42,8 @@ ScreenCover::ScreenCover(const Camera<ObjectSpace>& camera, const DeformedModel&
     }
   });
   const float bend = bendsLines(camera.lens) ? kBend : 0;
-  const std::size_t chunks = (model.triangles.size() + kGrain - 1) / kGrain, cells = static_cast<std::size_t>(across_) * down_;
+  const std::size_t chunks = (model.triangles.size() + kGrain - 1) / kGrain,
+                    cells = static_cast<std::size_t>(across_) * down_;
   std::vector<std::vector<std::uint8_t>> parts(chunks);
   std::atomic<bool> unknown = false;
   parallelFor(model.triangles.size(), kGrain, [&](std::size_t begin, std::size_t end) {

@@ -50,8 +50,7 @@ void dotsOf(const std::uint16_t* texel, int pad, const float* const* vectors, fl
       for (std::size_t p = 0; p < kParts; ++p) {
         const std::size_t at = static_cast<std::size_t>(i) + p * hn::Lanes(f);
         const auto value = hn::PromoteTo(f, hn::LoadU(h, halves + at));
-        for (int v = 0; v < kVectors; ++v)
-          parts[v][p] = hn::MulAdd(value, hn::LoadU(f, vectors[v] + at), parts[v][p]);
+        for (int v = 0; v < kVectors; ++v) parts[v][p] = hn::MulAdd(value, hn::LoadU(f, vectors[v] + at), parts[v][p]);
       }
     for (int v = 0; v < kVectors; ++v) sums[c][v] = fold(f, parts[v]);
   }
@@ -67,10 +66,14 @@ void dotsOf(const std::uint16_t* texel, int pad, const float* const* vectors, fl
 
 void dots(const std::uint16_t* texel, int pad, const float* const* vectors, int count, float* const* products) {
   switch (count) {
-    case 1: return dotsOf<1>(texel, pad, vectors, products);
-    case 2: return dotsOf<2>(texel, pad, vectors, products);
-    case 3: return dotsOf<3>(texel, pad, vectors, products);
-    default: return dotsOf<4>(texel, pad, vectors, products);
+    case 1:
+      return dotsOf<1>(texel, pad, vectors, products);
+    case 2:
+      return dotsOf<2>(texel, pad, vectors, products);
+    case 3:
+      return dotsOf<3>(texel, pad, vectors, products);
+    default:
+      return dotsOf<4>(texel, pad, vectors, products);
   }
 }
 
@@ -102,8 +105,8 @@ void sum(const ProductSum* sums, std::size_t count) {
     for (int i = 0; i < one.share_count; ++i)
       total = hn::MulAdd(hn::Set(four, one.shares[i]), interpolated(one.rows[i]), total);
     for (int i = 0; i < one.color_count; ++i)
-      total = hn::MulAdd(hn::LoadU(four, one.colors + kProductRow * i), interpolated(one.rows[one.share_count + i]),
-                         total);
+      total =
+          hn::MulAdd(hn::LoadU(four, one.colors + kProductRow * i), interpolated(one.rows[one.share_count + i]), total);
     hn::StoreU(total, four, start);
     *one.result = {start[0], start[1], start[2]};
   }

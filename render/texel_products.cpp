@@ -134,9 +134,14 @@ void TexelProducts::flush() {
   fill();
   sums_.clear();
   for (const Noted& noted : noted_)
-    sums_.push_back({noted.operation->tap, {noted.texel[0], noted.texel[1], noted.texel[2], noted.texel[3]},
-                     rows_.data() + noted.first_row, noted.share, noted.shares, colors_.data() + noted.first_color,
-                     noted.colors, noted.result});
+    sums_.push_back({noted.operation->tap,
+                     {noted.texel[0], noted.texel[1], noted.texel[2], noted.texel[3]},
+                     rows_.data() + noted.first_row,
+                     noted.share,
+                     noted.shares,
+                     colors_.data() + noted.first_color,
+                     noted.colors,
+                     noted.result});
   sumProducts(sums_.data(), sums_.size());
   noted_.clear();
   rows_.clear();

@@ -35,12 +35,12 @@ class TexelProducts {
 
   const std::uint16_t* block_ = nullptr;
   int pad_ = 0;
-  std::unique_ptr<float[]> tables_;               ///< float[kSlots][256][kProductRow]
-  std::vector<const float*> vector_;              ///< of each slot; none: a single light
-  std::vector<std::uint32_t> light_;              ///< of each slot
-  std::vector<std::uint8_t> slot_of_light_;       ///< kSlots: none
-  std::vector<std::uint8_t> slot_of_hash_;        ///< of a vector's address, open addressing
-  std::uint64_t wanted_[kTexels] = {};            ///< by texel: slots
+  std::unique_ptr<float[]> tables_;          ///< float[kSlots][256][kProductRow]
+  std::vector<const float*> vector_;         ///< of each slot; none: a single light
+  std::vector<std::uint32_t> light_;         ///< of each slot
+  std::vector<std::uint8_t> slot_of_light_;  ///< kSlots: none
+  std::vector<std::uint8_t> slot_of_hash_;   ///< of a vector's address, open addressing
+  std::uint64_t wanted_[kTexels] = {};       ///< by texel: slots
   struct Noted {
     const ShadingOperation* operation;
     const LightGather* lights;

@@ -56,8 +56,8 @@ class ViewSelection {
     std::vector<std::uint32_t> begin, order;        ///< pairs by view
     std::array<std::vector<double>, 10> hit_lanes;  ///< of the pairs of one view
     std::array<std::vector<double>, 6> view_lanes;
-    std::vector<Tried> tried;                                   ///< of each pair
-    std::vector<std::array<std::uint32_t, 2>> first, second;    ///< pairs of each hit: begin and end
+    std::vector<Tried> tried;                                 ///< of each pair
+    std::vector<std::array<std::uint32_t, 2>> first, second;  ///< pairs of each hit: begin and end
     std::vector<Penalised> penalised;
     std::vector<Weighted> weights;
     std::vector<std::pair<double, std::uint32_t>> standing_in;

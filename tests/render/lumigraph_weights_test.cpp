@@ -388,8 +388,7 @@ TEST(ViewSelection, WithoutAViewThatSeesTheNearestPictureStandsIn) {
   const std::uint32_t point = 0;
   const float weight = 1;
   const ViewQuery query = queryFor(field, 5, point, weight);
-  EXPECT_EQ(select(selection, query, std::vector<std::uint8_t>(12, 1), chosen),
-            ViewSelection::Result::not_seen);
+  EXPECT_EQ(select(selection, query, std::vector<std::uint8_t>(12, 1), chosen), ViewSelection::Result::not_seen);
   ASSERT_EQ(chosen.size(), 1u);
   EXPECT_EQ(chosen[0].view, 5u);
   EXPECT_EQ(chosen[0].weight, 1);
