@@ -13,6 +13,7 @@
 #include "bench/timing.h"
 #include "render/animation.h"
 #include "render/scene.h"
+#include "render/view_kernels.h"
 
 namespace srf {
 namespace {
@@ -22,10 +23,11 @@ class BareEmbree {
  public:
   BareEmbree(const std::vector<Point<ObjectSpace>>& positions, const std::vector<Triangle>& triangles,
              const Camera<ObjectSpace>& camera)
-      : device_(rtcNewDevice(nullptr)), scene_(rtcNewScene(device_)) {
+      : device_(rtcNewDevice(nullptr)), scene_(rtcNewScene(device_)), moving_(rtcNewScene(device_)) {
     RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
     auto* xyz = static_cast<float*>(
         rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, positions.size()));
+    auto* const first = xyz;
     for (const auto& p : positions)
       for (int k = 0; k < 3; ++k) *xyz++ = static_cast<float>(p.raw()[k]);
     auto* index = static_cast<Triangle*>(
@@ -36,6 +38,19 @@ class BareEmbree {
     rtcReleaseGeometry(geometry);
     rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);
     rtcCommitScene(scene_);
+    xyz_.assign(first, first + 3 * positions.size() + 1);
+    geometry_ = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
+    rtcSetSharedGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, xyz_.data(), 0, 12,
+                               positions.size());
+    std::copy(triangles.begin(), triangles.end(),
+              static_cast<Triangle*>(rtcSetNewGeometryBuffer(geometry_, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12,
+                                                             triangles.size())));
+    rtcSetGeometryBuildQuality(geometry_, RTC_BUILD_QUALITY_REFIT);
+    rtcCommitGeometry(geometry_);
+    rtcAttachGeometry(moving_, geometry_);
+    rtcSetSceneFlags(moving_, static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_DYNAMIC));
+    rtcSetSceneBuildQuality(moving_, RTC_BUILD_QUALITY_LOW);
+    rtcCommitScene(moving_);
     const int width = camera.lens.width, height = camera.lens.height;
     for (int y = 0; y < height; y += 4)  // packets of 4 x 4 pixels
       for (int x = 0; x < width; x += 4) {
@@ -51,11 +66,27 @@ class BareEmbree {
       }
   }
   ~BareEmbree() {
+    rtcReleaseGeometry(geometry_);
+    rtcReleaseScene(moving_);
     rtcReleaseScene(scene_);
     rtcReleaseDevice(device_);
   }
   BareEmbree(const BareEmbree&) = delete;
   BareEmbree& operator=(const BareEmbree&) = delete;
+
+  /// New positions for the vertices, and the refit.
+  void refit(const std::vector<Point<ObjectSpace>>& positions) {
+    parallelFor(positions.size(), 8192, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) {
+        const Vec3& p = positions[i].raw();
+        const Vec3 moved{0.8 * p.x - 0.6 * p.y, 0.6 * p.x + 0.8 * p.y, p.z};
+        for (int k = 0; k < 3; ++k) xyz_[3 * i + k] = static_cast<float>(moved[k]);
+      }
+    });
+    rtcUpdateGeometryBuffer(geometry_, RTC_BUFFER_TYPE_VERTEX, 0);
+    rtcCommitGeometry(geometry_);
+    rtcCommitScene(moving_);
+  }
 
   void trace() const {
     parallelFor(packets_.size(), 256, [&](std::size_t begin, std::size_t end) {
@@ -75,7 +106,9 @@ class BareEmbree {
 
  private:
   RTCDevice device_;
-  RTCScene scene_;
+  RTCScene scene_, moving_;  ///< as it stands; that of refit()
+  RTCGeometry geometry_;
+  std::vector<float> xyz_;
   std::vector<RTCRay16> packets_;
 };
 
@@ -126,6 +159,63 @@ void bareModelValues(std::size_t count) {
   });
 }
 
+// The kernels of view selection over hits on a sphere: `pairs` places of views, and bounds of `views` views a hit.
+class BareViews {
+ public:
+  BareViews(const Camera<AcquisitionSpace>& camera, std::size_t hits, std::size_t pairs, std::size_t views)
+      : camera_(camera), hits_(hits), pairs_(pairs), views_(views) {
+    for (auto& lane : centers_) lane.assign(paddedLanes(views), 3.f);
+    for (std::size_t i = 0; i < kAtOnce; ++i) {
+      const double z = 1 - (i + 0.5) * 2 / kAtOnce, r = std::sqrt(1 - z * z), angle = 2.4 * static_cast<double>(i);
+      const double xyz[3] = {r * std::cos(angle), r * std::sin(angle), z};
+      for (int k = 0; k < 9; ++k) lanes_[k].push_back(xyz[k % 3]);
+      lanes_[9].push_back(3);
+    }
+  }
+  void run() const {
+    parallelFor((hits_ + kAtOnce - 1) / kAtOnce, 8, [&](std::size_t begin, std::size_t end) {
+      std::vector<float> bound(paddedLanes(views_));
+      for (std::size_t h = begin * kAtOnce; h < std::min(hits_, end * kAtOnce); ++h) {
+        const float at = static_cast<float>(h % 100) * 0.01f;
+        penaltyBounds(centers_[0].data(), centers_[1].data(), centers_[2].data(), views_, {{at, 0, 0}, {0, 0, 1}, 0.3f},
+                      bound.data());
+      }
+    });
+    parallelFor((pairs_ + kAtOnce - 1) / kAtOnce, 8, [&](std::size_t begin, std::size_t end) {
+      std::array<std::vector<double>, 6> out;
+      for (auto& lane : out) lane.resize(kAtOnce);
+      const auto& l = lanes_;
+      const HitLanes in{l[0].data(), l[1].data(), l[2].data(), l[3].data(), l[4].data(),
+                        l[5].data(), l[6].data(), l[7].data(), l[8].data(), l[9].data()};
+      for (std::size_t b = begin; b < end; ++b)
+        placeViews(camera_, 0.05, in, kAtOnce,
+                   {out[0].data(), out[1].data(), out[2].data(), out[3].data(), out[4].data(), out[5].data()});
+    });
+  }
+
+ private:
+  static constexpr std::size_t kAtOnce = 256;
+  Camera<AcquisitionSpace> camera_;
+  std::size_t hits_, pairs_, views_;
+  std::array<std::vector<float>, 3> centers_;
+  std::array<std::vector<double>, 10> lanes_;
+};
+
+// Blends four vectors of light weights a hit.
+void bareBlend(std::size_t hits, std::size_t lights) {
+  parallelFor(hits, 4096, [&](std::size_t begin, std::size_t end) {
+    const int count = static_cast<int>(3 * lights);
+    std::vector<float> vectors(static_cast<std::size_t>(count) * 8, 0.01f), sum(count);
+    const std::array<float, 4> share{0.4f, 0.3f, 0.2f, 0.1f};
+    for (std::size_t h = begin; h < end; ++h) {
+      std::fill(sum.begin(), sum.end(), 0.f);
+      std::array<const float*, 4> of;
+      for (std::size_t i = 0; i < 4; ++i) of[i] = vectors.data() + (h + i) % 8 * count;
+      addBlend(sum.data(), share, of, count);
+    }
+  });
+}
+
 // Streams `taps` texels of 3 x `lights` halves from `texels` (wrapping around) against one weight vector.
 float bareDot(const std::vector<std::uint16_t>& texels, std::size_t lights, std::size_t begin, std::size_t end,
               const std::vector<float>& weights) {
@@ -159,11 +249,14 @@ int main(int argc, char** argv) {
   Program program("stage-benchmark", "times the stages of a frame beside the machine's limits");
   std::string scene_file, srf_folder;
   int repeats = 11;
-  std::vector<std::string> overrides;
+  std::vector<std::string> overrides, exact;
+  std::string row;
   program.app().add_option("SCENE", scene_file, "scene.json; its frames are rendered in turn")->required();
   program.app().add_option("--srf", srf_folder, "the field")->required();
   program.app().add_option("--repeats", repeats, "timed frames");
   program.app().add_option("--set", overrides, "/json/pointer=value in the scene");
+  program.app().add_option("--exact", exact, "/json/pointer=value: another setting to compare the pictures with");
+  program.app().add_option("--row", row, "print one row of this label in place of the table");
   return program.run(argc, argv, [&](Reporter& reporter) {
     const Scene scene = readScene(scene_file, overrides, reporter);
     const SrfManifest manifest = readManifest(srf_folder);
@@ -183,7 +276,7 @@ int main(int argc, char** argv) {
       render(frame_at(static_cast<int>(i)), unused);  // warm: blocks decoded
 
     std::map<std::string, bench::Series> stages;
-    bench::Series whole, embree, dot, read, occlusion, model_values;
+    bench::Series whole, embree, refit, dot, views, blend, read, occlusion, model_values, stage_sum, limit_sum;
     std::map<std::string, double> before = reporter.figures();
     std::map<std::string, std::uint64_t> counted = reporter.counters();
     double operations = 0, hits = 0, shadow_rays = 0, values = 0;
@@ -208,9 +301,11 @@ int main(int argc, char** argv) {
       };
       operations += taken("operations") / repeats, hits += taken("hits") / repeats;
       if (model.kind == ModelKind::mesh) {
-        const BareEmbree bare(deformed.positions(), model.triangles, scene.cameraAt(frame));
+        BareEmbree bare(deformed.positions(), model.triangles, scene.cameraAt(frame));
         bare.trace();
         embree.add(bench::milliseconds([&] { bare.trace(); }));
+        bare.refit(deformed.positions());
+        refit.add(bench::milliseconds([&] { bare.refit(deformed.positions()); }));
       }
       shadow_rays += taken("shadow_rays") / repeats, values += taken("model_values") / repeats;
       if (const auto rays = static_cast<std::size_t>(taken("shadow_rays"))) {
@@ -219,12 +314,26 @@ int main(int argc, char** argv) {
         model_values.add(
             bench::milliseconds([&] { bareModelValues(static_cast<std::size_t>(taken("model_values"))); }));
       }
+      const auto hit_count = static_cast<std::size_t>(taken("hits"));
+      if (hit_count > 0) {
+        const std::size_t k = static_cast<std::size_t>(scene.accuracy.views) + 1;
+        const BareViews bare(manifest.views[0].camera, hit_count, k * hit_count, manifest.views.size());
+        views.add(bench::milliseconds([&] { bare.run(); }));
+        blend.add(bench::milliseconds([&] { bareBlend(hit_count, lights); }));
+      }
       const std::size_t taps = static_cast<std::size_t>(4 * taken("operations"));
       counted = counters;
       dot.add(bench::milliseconds([&] {
         parallelFor(taps, 1 << 14,
                     [&](std::size_t a, std::size_t b) { sink = bareDot(texels, lights, a, b, weights); });
       }));
+      stage_sum.add(whole.values.back());
+      double limits = 0;
+      for (const bench::Series* bare : {&embree, &refit, &views, &dot, &occlusion})
+        if (!bare->values.empty()) limits += bare->values.back();
+      limits +=
+          model_values.values.empty() ? (blend.values.empty() ? 0 : blend.values.back()) : model_values.values.back();
+      limit_sum.add(limits);
       std::vector<std::uint64_t> partial(64);
       read.add(bench::milliseconds([&] {
         const auto* words = reinterpret_cast<const std::uint64_t*>(texels.data());
@@ -238,6 +347,52 @@ int main(int argc, char** argv) {
       }));
     }
     const auto camera = scene.cameraAt(frame_at(0));
+    const auto printError = [&] {
+      std::vector<std::string> all = overrides;
+      all.insert(all.end(), exact.begin(), exact.end());
+      const Scene other = readScene(scene_file, all, reporter);
+      FrameRenderer reference(srf_folder, manifest, model, frameSettings(other, fit, program.memoryBudget()), reporter);
+      std::vector<double> errors;
+      double squares = 0, peak = 0, sum = 0;
+      std::size_t values_compared = 0;
+      const std::size_t last = std::min<std::size_t>(scene.frames.size(), 3);
+      for (std::size_t i = 0; i < last; ++i) {
+        const int frame = frame_at(static_cast<int>(i));
+        deformed.deform(scene.deformation.at(frame));
+        const Frame got = renderer.render(scene.cameraAt(frame), deformed, light_set.at(frame));
+        const Frame want = reference.render(scene.cameraAt(frame), deformed, light_set.at(frame));
+        for (std::size_t p = 0; p < got.rgba.data().size(); p += 4) {
+          if (!(want.rgba.data()[p + 3] > 0)) continue;
+          double off = 0, all_channels = 0;
+          for (int c = 0; c < 3; ++c) {
+            const double difference = got.rgba.data()[p + c] - want.rgba.data()[p + c];
+            off += std::fabs(difference), all_channels += want.rgba.data()[p + c];
+            squares += square(difference), ++values_compared;
+            peak = std::max<double>(peak, want.rgba.data()[p + c]);
+          }
+          if (all_channels > 0) errors.push_back(off / all_channels);
+        }
+      }
+      std::sort(errors.begin(), errors.end());
+      for (const double error : errors) sum += error;
+      if (errors.empty()) return;
+      std::printf(
+          "against %s: error of a pixel, of its value: mean %.3f %%, 99th percentile %.3f %%, largest %.2f %%; "
+          "%.1f dB",
+          exact[0].c_str(), 100 * sum / static_cast<double>(errors.size()), 100 * errors[errors.size() * 99 / 100],
+          100 * errors.back(), 10 * std::log10(square(peak) / (squares / static_cast<double>(values_compared))));
+    };
+    if (!row.empty()) {
+      std::printf("| %s | %s | %.1f | %s |", row.c_str(), bench::shown(whole).c_str(), 1000 / whole.median(),
+                  bench::shownRatio(bench::ratios(whole, limit_sum)).c_str());
+      if (!exact.empty()) {
+        std::printf(" ");
+        printError();
+        std::printf(" |");
+      }
+      std::printf("\n");
+      return;
+    }
     std::printf(
         "%s, %d threads; %d x %d pixels, %zu model points, %zu triangles, %zu views, %zu lights, %.0f hits and "
         "%.0f operations a frame; %d frames after a warm-up; milliseconds as median (least .. most).\n\n",
@@ -248,21 +403,29 @@ int main(int argc, char** argv) {
     std::printf("| stage | ms | limit on this machine, same run | ratio |\n|---|---|---|---|\n");
     for (const auto& [name, series] : stages) {
       std::string limit = "", ratio = "";
-      char text[64];
       const auto against = [&](const bench::Series& bare, const char* what) {
         if (bare.values.empty()) return;
         limit = std::string(what) + " " + bench::shown(bare);
-        std::snprintf(text, sizeof text, "%.2f", series.median() / bare.median());
-        ratio = text;
+        ratio = bench::shownRatio(bench::ratios(series, bare));
       };
       if (name == "trace") against(embree, "bare Embree loop");
       if (name == "shadows") against(occlusion, "bare occlusion loop");
+      if (name == "deform") against(refit, "bare turn and refit");
+      if (name == "views") against(views, "bare kernels");
+      if (name == "weights" && model_values.values.empty()) against(blend, "bare blend of vectors");
       if (name == "weights") against(model_values, "bare model values");
       if (name == "execute") against(dot, "bare dot kernel");
       std::printf("| %s | %s | %s | %s |\n", name.c_str(), bench::shown(series).c_str(), limit.c_str(), ratio.c_str());
     }
-    std::printf("| whole frame | %s | %.1f frames a second | |\n", bench::shown(whole).c_str(), 1000 / whole.median());
+    std::printf("| whole frame | %s | sum of the limits %s | %s |\n", bench::shown(whole).c_str(),
+                bench::shown(limit_sum).c_str(), bench::shownRatio(bench::ratios(stage_sum, limit_sum)).c_str());
     std::printf("| memory read, %zu MB | %s | %.1f GB/s | |\n", texels.size() * 2 >> 20, bench::shown(read).c_str(),
                 texels.size() * 2 / read.median() / 1e6);
+    std::printf("\n%.1f frames a second.\n", 1000 / whole.median());
+    if (!exact.empty()) {
+      std::printf("\nThe pictures ");
+      printError();
+      std::printf(".\n");
+    }
   });
 }

@@ -10,6 +10,7 @@ find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc photo calib3d aruco)
 find_package(Eigen3 3.4 CONFIG REQUIRED)        # before CGAL, whose own FindEigen3 hides the config
 find_package(CGAL 5.5 REQUIRED)                 # point clouds, mesh repair (acquire/shape_import.cpp); GPL-3.0-or-later
 find_package(pugixml 1.13 REQUIRED)             # XML of Metashape (acquire/import_capture.cpp, export_capture.cpp)
+find_package(hwy 1.0.3 CONFIG REQUIRED)         # vector code, chosen at run time (render/*_kernels.cpp)
 find_package(PkgConfig REQUIRED)
 pkg_check_modules(matio REQUIRED IMPORTED_TARGET matio)     # MATLAB files of DiLiGenT-MV (acquire/import_capture.cpp)
 pkg_check_modules(zstd REQUIRED IMPORTED_TARGET libzstd)    # blocks (field/reflectance_store.cpp)

@@ -20,6 +20,8 @@ constexpr double kParallelSine = 1e-6;
 
 // Unit vector along `a`; nothing for zero, infinite and NaN vectors. Scaled first by a power of two, which is exact.
 std::optional<Vec3> unitAlong(const Vec3& a) {
+  const double squared = dot(a, a);
+  if (squared > 1e-250 && squared < 1e250) return a / std::sqrt(squared);  // the same bits, unscaled
   const double largest = std::max({std::fabs(a.x), std::fabs(a.y), std::fabs(a.z)});
   if (!isFinite(a) || !(largest > 0)) return std::nullopt;
   const int exponent = -std::ilogb(largest);

@@ -17,14 +17,11 @@
 #include "model/deformed_model.h"
 #include "model/reflectance_fit.h"
 #include "render/deferred_shading.h"
+#include "render/frame_layers.h"
 #include "render/light_set.h"
 #include "render/pixel_explanation.h"
 
 namespace srf {
-
-/// The layers of --aovs by group: "P", "P0", "N", "L", "handedness", "stretch", "shear", "fallback", "overlap", "V",
-/// "Z", "view", "confidence" (doc: conventions, Layers).
-std::vector<std::string> knownLayers();
 
 struct Frame {
   ImageF rgba;                           ///< premultiplied, linear
@@ -58,8 +55,9 @@ class FrameRenderer {
   PixelExplanation explain(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLights& lights,
                            int x, int y);
 
+  struct State;  ///< render/frame_state.h
+
  private:
-  struct State;
   std::unique_ptr<State> state_;
 };
 

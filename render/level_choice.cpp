@@ -33,7 +33,7 @@ LevelChoice::LevelChoice(std::span<const SourceView> views, const Box<Acquisitio
 
 void LevelChoice::apply(const Camera<ObjectSpace>& camera, double samples_per_pixel, const SurfaceHit& hit,
                         const LookUp& look_up, const Direction<AcquisitionSpace>& view,
-                        std::vector<ChosenView>& chosen) const {
+                        std::span<ChosenView> chosen) const {
   if (!(texels_ > 0)) return;
   const double stretch = length(cross(hit.tangents.u, hit.tangents.v).raw());
   const double reach = camera.lens.isOrthographic() ? 1 : hit.distance;

@@ -20,7 +20,7 @@ class LevelChoice {
   /// to the surface at rest, and by slant and distance to the photograph. A level whose texels show less of the object
   /// there than level 0 does is not taken.
   void apply(const Camera<ObjectSpace>& camera, double samples_per_pixel, const SurfaceHit& hit, const LookUp& look_up,
-             const Direction<AcquisitionSpace>& view, std::vector<ChosenView>& chosen) const;
+             const Direction<AcquisitionSpace>& view, std::span<ChosenView> chosen) const;
 
  private:
   std::span<const SourceView> views_;

@@ -1,6 +1,7 @@
 // Which photographs a hit is made from, and where in them it lies (M12).
 #pragma once
 
+#include <array>
 #include <limits>
 #include <span>
 #include <vector>
@@ -39,31 +40,51 @@ class ViewSelection {
     not_seen,  ///< no view sees p: the nearest by angle whose picture covers it stands in
     none       ///< no picture covers p
   };
-  /// How a view lies to a query, before its picture is looked at.
-  struct Candidate {
+  /// A view that was looked at for a hit.
+  struct Tried {
     std::uint32_t view;
-    double chord;           ///< between v and the view's direction at p
-    double resolution;      ///< resolutionPenalty
-    double foreshortening;  ///< factor of the view's weight: sqrt(n0 . v_i), kept above 0
-    double bound;           ///< at most the view's penalty
+    bool whole;  ///< all four texels of the fetch are covered
+    double penalty, angle, foreshortening;
+    double pixel_x, pixel_y;
   };
   /// Memory that select() uses; one for each thread.
   struct Scratch {
-    std::vector<Candidate> open;
+    std::vector<std::uint64_t> seen;                ///< of each hit: views that see one of its points
+    std::vector<std::uint32_t> views, slot;         ///< that see some hit; where each view is in `views`
+    std::vector<float> x, y, z, bounds;             ///< of those views: centres; by hit: bounds of their penalties
+    std::vector<std::uint32_t> hit_of, view_of;     ///< of each pair to be looked at
+    std::vector<std::uint32_t> begin, order;        ///< pairs by view
+    std::array<std::vector<double>, 10> hit_lanes;  ///< of the pairs of one view
+    std::array<std::vector<double>, 6> view_lanes;
+    std::vector<Tried> tried;                                 ///< of each pair
+    std::vector<std::array<std::uint32_t, 2>> first, second;  ///< pairs of each hit: begin and end
     std::vector<Penalised> penalised;
     std::vector<Weighted> weights;
-    std::vector<ChosenView> tried;
+    std::vector<std::pair<double, std::uint32_t>> standing_in;
   };
-  /// The views of a hit with weights that sum to 1, least penalty first. `allowed[i]`: view i may be used.
-  Result select(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& scratch,
-                std::vector<ChosenView>& chosen) const;
+  /// The views of each hit.
+  struct Chosen {
+    std::vector<ChosenView> views;     ///< those of a hit one after the other, least penalty first, weights sum 1
+    std::vector<std::uint32_t> first;  ///< of each hit, in `views`, and the end
+    std::vector<Result> result;
+    std::span<const ChosenView> of(std::size_t hit) const {
+      return std::span(views).subspan(first[hit], first[hit + 1] - first[hit]);
+    }
+  };
+  /// Chooses the views of hits; what a hit gets does not depend on the others. `allowed[i]`: view i may be used.
+  void select(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& scratch,
+              Chosen& chosen) const;
 
   const std::vector<SourceView>& views() const { return views_; }
 
  private:
-  bool consider(const ViewQuery& query, std::uint32_t view, Candidate& candidate) const;
-  /// How much of p the view's picture holds, 0 to 1, and where.
-  double covered(const ViewQuery& query, std::uint32_t view, Fetch& fetch) const;
+  /// Looks at the pairs from `begin` on, view by view.
+  void lookAt(std::span<const ViewQuery> queries, std::size_t begin, Scratch& s) const;
+  /// How much of the pixel's surroundings the view's picture holds, 0 to 1.
+  double covered(std::uint32_t view, const Vec2& pixel, bool& whole) const;
+  Fetch fetch(std::uint32_t view, const Vec2& pixel, bool whole) const;
+  /// The nearest picture by angle that covers p, where no view sees it.
+  bool standIn(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& s, ChosenView& chosen) const;
 
   std::vector<SourceView> views_;
   const VisibilityBits& visible_;

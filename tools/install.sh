@@ -13,6 +13,8 @@ packages=(
   libopencv-dev libopencv-contrib-dev libeigen3-dev libcgal-dev
   # JSON, command lines, compression, checksums
   nlohmann-json3-dev libcli11-dev libzstd-dev libxxhash-dev
+  # vector code for the instruction set at hand
+  libhwy-dev
   # tests and benchmarks
   libgtest-dev librapidcheck-dev libbenchmark-dev
   # XML and MATLAB files of captures in other formats

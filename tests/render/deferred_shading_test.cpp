@@ -7,6 +7,8 @@
 
 #include "base/image_io.h"
 #include "base/parallel.h"
+#include "render/texel_kernels.h"
+#include "render/texel_products.h"
 #include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
 
@@ -65,6 +67,95 @@ TEST(ReflectanceDot, ReadsTheTexelAndLightThatItNames) {
   operation.y = 5;
   operation.tap[1] = 0.25f;
   EXPECT_EQ(reflectanceDot(block.data(), pad, operation, weights.data()), (Rgb{0, 1.5f, 0}));
+}
+
+// ---- products shared by operations ----------------------------------------------------------------------------------
+
+TEST(TexelKernels, StayWithinTheirStatedErrorWhateverTheirCompany) {
+  std::mt19937 random(5);
+  std::normal_distribution<float> normal;
+  for (const int lights : {1, 16, 100, 331}) {
+    const StoreGeometry geometry{kTile, kTile, 0, 0, 1, 1, lights};
+    const int pad = geometry.lightPad();
+    const auto block = randomBlock(geometry, random);
+    for (int trial = 0; trial < 100; ++trial) {
+      const std::uint16_t* texel = block.data() + (random() % 256) * 3 * pad;
+      std::vector<std::vector<float>> vectors(kProductVectors, std::vector<float>(3 * pad));
+      const float* of[kProductVectors];
+      float values[kProductVectors][kProductRow], alone[kProductRow];
+      float* to[kProductVectors];
+      for (int v = 0; v < kProductVectors; ++v) {
+        for (float& weight : vectors[v]) weight = normal(random) * std::exp(3 * normal(random));
+        of[v] = vectors[v].data(), to[v] = values[v];
+      }
+      const int count = 1 + trial % kProductVectors;
+      texelDots(texel, pad, of, count, to);
+      for (int v = 0; v < count; ++v) {
+        std::vector<float> magnitudes = vectors[v];
+        for (float& weight : magnitudes) weight = std::fabs(weight);
+        const auto want = texelDotReference(texel, pad, of[v]);
+        const auto terms = texelDotReference(texel, pad, magnitudes.data());
+        float* one = alone;
+        texelDots(texel, pad, of + v, 1, &one);
+        for (int c = 0; c < 3; ++c) {
+          EXPECT_LE(std::fabs(values[v][c] - want[c]), (pad / 16 + 4) * std::ldexp(terms[c], -24));
+          EXPECT_EQ(values[v][c], alone[c]);
+        }
+        EXPECT_EQ(values[v][3], 0);
+      }
+    }
+  }
+}
+
+/// Operations with light weights of every kind: blends of many vectors, single lights, a vector of their own.
+TEST(TexelProducts, AgreeWithTheProductOfTheMergedVector) {
+  std::mt19937 random(6);
+  std::uniform_real_distribution<float> uniform(0, 1);
+  const StoreGeometry geometry{kTile, kTile, 0, 0, 1, 1, 100};
+  const int pad = geometry.lightPad(), count = 3 * pad;
+  const auto block = randomBlock(geometry, random);
+  std::vector<std::vector<float>> shared(90, std::vector<float>(count));  // more than there are tables for
+  LightGather lights;
+  for (auto& vector : shared) {
+    for (float& weight : vector) weight = uniform(random);
+    lights.vectors.push_back(vector.data());
+  }
+  std::vector<ShadingOperation> operations;
+  for (std::uint32_t i = 0; i < 400; ++i) {
+    LightWeights weights;
+    weights.first_entry = static_cast<std::uint32_t>(lights.entries.size());
+    if (i % 4 != 3)
+      for (int s = 0; s < 4; ++s) {
+        weights.shared[s] = random() % shared.size();
+        weights.share[s] = s == 3 && i % 2 ? 0 : uniform(random);
+      }
+    if (i % 3 == 0)
+      for (std::size_t e = 0; e < (i == 30 ? 95 : 8); ++e)
+        lights.entries.push_back({static_cast<std::uint32_t>(random() % 100), {uniform(random), 1, uniform(random)}});
+    weights.entries = static_cast<std::uint32_t>(lights.entries.size()) - weights.first_entry;
+    if (i % 5 == 0) {
+      weights.own = static_cast<std::uint32_t>(lights.own.size());
+      for (int j = 0; j < count; ++j) lights.own.push_back(uniform(random));
+    }
+    lights.weights.push_back(weights);
+    operations.push_back(randomOperation(random));
+    operations.back().lights = i;
+  }
+  std::vector<Rgb> together(operations.size()), alone(operations.size());
+  TexelProducts products;
+  products.begin(block.data(), pad);
+  for (std::size_t i = 0; i < operations.size(); ++i) products.add(operations[i], lights, together[i]);
+  products.flush();
+  std::vector<float> scratch(count);
+  for (std::size_t i = 0; i < operations.size(); ++i) {
+    products.begin(block.data(), pad);
+    products.add(operations[i], lights, alone[i]);
+    products.flush();
+    EXPECT_EQ(together[i], alone[i]) << "depends on its company";
+    const float* merged = lights.vector(lights.weights[i], pad, scratch.data());
+    const auto want = reflectanceDotReference(block.data(), pad, operations[i], merged);  // all terms are positive
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(together[i][c], want[c], 120 * std::ldexp(want[c], -24));
+  }
 }
 
 /// Two views of 3 x 2 tiles with different numbers of lights, and batches of random operations on them.

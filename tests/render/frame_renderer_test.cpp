@@ -6,6 +6,8 @@
 
 #include "base/numeric.h"
 #include "base/parallel.h"
+#include "render/pixel_rays.h"
+#include "render/screen_cover.h"
 #include "tests/support/formula_field.h"
 #include "tests/support/hard_case.h"
 #include "tests/support/test_support.h"
@@ -86,6 +88,40 @@ TEST_F(FrameRendererTest, TheSecondFrameOfARendererEqualsTheFirst) {
   others.distant.pop_back();
   EXPECT_NE(renderer.render(camera(), deformed, others).rgba.data(), first.rgba.data());
   EXPECT_EQ(renderer.render(camera(), deformed, lights()).rgba.data(), first.rgba.data());
+}
+
+// No ray that meets the model may be left out, whatever the lens; and something must be left out.
+TEST_F(FrameRendererTest, TheCoverHoldsEveryPixelThatShowsTheModel) {
+  DeformedModel deformed(field_->model);
+  deformed.deform(twist());
+  std::vector<Camera<ObjectSpace>> cameras(5, camera(150));
+  cameras[1].lens.model = CameraModel::opencv, cameras[1].lens.k1 = -0.2, cameras[1].lens.p1 = 0.01;
+  cameras[2].lens.model = CameraModel::opencv_fisheye, cameras[2].lens.k1 = 0.05;
+  cameras[3].lens.model = CameraModel::orthographic, cameras[3].lens.fl_x = cameras[3].lens.fl_y = 40;
+  cameras[4].pose = *lookAt(Point<ObjectSpace>(0, -0.2, 0.1), Point<ObjectSpace>(0, 1, 0),
+                            Vector<ObjectSpace>(0, 0, 1));  // from inside
+  const std::vector<Vec2> pattern = samplePattern(4);
+  for (std::size_t c = 0; c < cameras.size(); ++c) {
+    const ScreenCover cover(cameras[c], deformed);
+    int left_out = 0, met = 0;
+    for (int y = 0; y < 150; ++y)
+      for (int x = 0; x < 150; ++x) {
+        left_out += !cover.covers(x, y);
+        PixelRays rays;
+        rays.add(cameras[c], pattern, x, y);
+        std::vector<SurfaceHit> hits(rays.rays.size());
+        deformed.intersect(rays.rays, hits);
+        for (const SurfaceHit& hit : hits) {
+          met += hit.count > 0;
+          ASSERT_TRUE(hit.count == 0 || cover.covers(x, y)) << "camera " << c << ", pixel " << x << " " << y;
+        }
+      }
+    EXPECT_GT(met, 1000);
+    if (c < 4)
+      EXPECT_GT(left_out, 3000) << "camera " << c;
+    else
+      EXPECT_EQ(left_out, 0);
+  }
 }
 
 TEST_F(FrameRendererTest, SharedLightWeightsStayNearTheExactOnes) {

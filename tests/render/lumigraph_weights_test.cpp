@@ -237,6 +237,16 @@ struct Views {
   }
 };
 
+/// Views of one hit by itself.
+ViewSelection::Result select(const ViewSelection& selection, const ViewQuery& query,
+                             const std::vector<std::uint8_t>& allowed, std::vector<ChosenView>& views) {
+  static ViewSelection::Scratch scratch;
+  ViewSelection::Chosen chosen;
+  selection.select({&query, 1}, allowed, scratch, chosen);
+  views = chosen.views;
+  return chosen.result.front();
+}
+
 TEST(ViewSelection, MatchesBruteForceOverAllViews) {
   std::mt19937 random(9);
   Views field(80, random, 3);
@@ -244,7 +254,6 @@ TEST(ViewSelection, MatchesBruteForceOverAllViews) {
     for (auto& word : field.visible.words()) word &= random() | static_cast<std::uint64_t>(random()) << 32;
   const ViewSelection selection(field.views, field.visible, 4);
   const std::vector<std::uint8_t> allowed(80, 1);
-  ViewSelection::Scratch scratch;
   std::vector<ChosenView> chosen;
   std::uniform_real_distribution<double> uniform(-0.2, 0.2);
   for (int trial = 0; trial < 3000; ++trial) {
@@ -276,13 +285,68 @@ TEST(ViewSelection, MatchesBruteForceOverAllViews) {
       sum += w *= std::sqrt(std::max(0.05, facing));
     }
     for (auto& [i, w] : want) w /= sum;
-    ASSERT_EQ(selection.select(query, allowed, scratch, chosen), ViewSelection::Result::seen);
+    ASSERT_EQ(select(selection, query, allowed, chosen), ViewSelection::Result::seen);
     ASSERT_EQ(chosen.size(), want.size());
     for (const ChosenView& c : chosen) {
       ASSERT_TRUE(want.contains(c.view));
       ASSERT_NEAR(c.weight, want.at(c.view), 1e-9);
     }
   }
+}
+
+// Hits of one call share their vectors: what one gets must not depend on the others.
+TEST(ViewSelection, ManyHitsAtOnceGetWhatEachGetsAlone) {
+  std::mt19937 random(10);
+  Views field(70, random, 5);
+  for (auto& word : field.visible.words()) word &= random() | static_cast<std::uint64_t>(random()) << 32;
+  field.views[3].camera.lens.k1 = 0.1;  // one of each kind of lens
+  field.views[3].camera.lens.model = CameraModel::simple_radial;
+  field.views[4].camera.lens.model = CameraModel::orthographic;
+  field.views[4].camera.lens.fl_x = field.views[4].camera.lens.fl_y = 20;
+  const ViewSelection selection(field.views, field.visible, 4);
+  std::vector<std::uint8_t> allowed(70, 1);
+  allowed[7] = 0;
+  std::uniform_real_distribution<double> uniform(-0.4, 0.4);
+  std::vector<std::array<std::uint32_t, 2>> points(333);
+  const float weights[] = {0.7f, 0.3f};
+  std::vector<ViewQuery> queries;
+  for (auto& of_hit : points) {
+    of_hit = {static_cast<std::uint32_t>(random() % 5), static_cast<std::uint32_t>(random() % 5)};
+    ViewQuery query;
+    query.p = Point<AcquisitionSpace>(uniform(random), uniform(random), uniform(random));
+    query.view = Direction<AcquisitionSpace>::fromUnit(randomDirection(random));
+    query.normal = query.view;
+    if (random() % 2) query.eye_distance = 2.5;
+    query.points = of_hit;
+    query.point_weights = weights;
+    queries.push_back(query);
+  }
+  ViewSelection::Scratch scratch;
+  ViewSelection::Chosen together;
+  selection.select(queries, allowed, scratch, together);
+  ASSERT_EQ(together.result.size(), queries.size());
+  int orthographic = 0, distorted = 0;
+  for (std::size_t h = 0; h < queries.size(); ++h) {
+    std::vector<ChosenView> alone;
+    ASSERT_EQ(select(selection, queries[h], allowed, alone), together.result[h]);
+    const auto of_hit = together.of(h);
+    ASSERT_EQ(of_hit.size(), alone.size());
+    for (std::size_t i = 0; i < alone.size(); ++i) {
+      ASSERT_EQ(of_hit[i].view, alone[i].view);
+      ASSERT_EQ(of_hit[i].weight, alone[i].weight);
+      ASSERT_EQ(of_hit[i].fetch.x, alone[i].fetch.x);
+      for (int t = 0; t < 4; ++t) ASSERT_EQ(of_hit[i].fetch.tap[t], alone[i].fetch.tap[t]);
+      ASSERT_NE(alone[i].view, 7u);
+      distorted += alone[i].view == 3;
+      orthographic += alone[i].view == 4;
+      // The fetch is that of the scalar form.
+      const SourceView& source = field.views[alone[i].view];
+      const Fetch want = bilinearFetch(source, source.camera.project(queries[h].p)->pixel);
+      for (int t = 0; t < 4; ++t) ASSERT_NEAR(alone[i].fetch.tap[t], want.tap[t], 1e-6);
+    }
+  }
+  EXPECT_GT(orthographic, 0);
+  EXPECT_GT(distorted, 0);
 }
 
 ViewQuery queryFor(const Views& field, std::uint32_t view, const std::uint32_t& point, const float& weight) {
@@ -302,9 +366,8 @@ TEST(ViewSelection, FewerViewsThanKAreEnough) {
   for (int count = 1; count <= 4; ++count) {
     const Views field(count, random);
     const ViewSelection selection(field.views, field.visible, 4);
-    ViewSelection::Scratch scratch;
     std::vector<ChosenView> chosen;
-    selection.select(queryFor(field, 0, point, weight), std::vector<std::uint8_t>(count, 1), scratch, chosen);
+    select(selection, queryFor(field, 0, point, weight), std::vector<std::uint8_t>(count, 1), chosen);
     double sum = 0;
     for (const ChosenView& c : chosen) sum += c.weight;
     off.add(std::fabs(sum - 1));
@@ -320,17 +383,15 @@ TEST(ViewSelection, WithoutAViewThatSeesTheNearestPictureStandsIn) {
   Views field(12, random);
   field.visible = VisibilityBits(1, 12);
   const ViewSelection selection(field.views, field.visible, 4);
-  ViewSelection::Scratch scratch;
   std::vector<ChosenView> chosen;
   const std::uint32_t point = 0;
   const float weight = 1;
   const ViewQuery query = queryFor(field, 5, point, weight);
-  EXPECT_EQ(selection.select(query, std::vector<std::uint8_t>(12, 1), scratch, chosen),
-            ViewSelection::Result::not_seen);
+  EXPECT_EQ(select(selection, query, std::vector<std::uint8_t>(12, 1), chosen), ViewSelection::Result::not_seen);
   ASSERT_EQ(chosen.size(), 1u);
   EXPECT_EQ(chosen[0].view, 5u);
   EXPECT_EQ(chosen[0].weight, 1);
-  EXPECT_EQ(selection.select(query, std::vector<std::uint8_t>(12, 0), scratch, chosen), ViewSelection::Result::none);
+  EXPECT_EQ(select(selection, query, std::vector<std::uint8_t>(12, 0), chosen), ViewSelection::Result::none);
   EXPECT_TRUE(chosen.empty());
 }
 
@@ -342,7 +403,6 @@ TEST(ViewSelection, WeightsAreContinuousAcrossTheBorderOfAPictureAndOfTheMask) {
     for (int x = 40; x < 64; ++x) mask.at(x, y) = 0;
   field.coverage = Coverage(mask);
   const ViewSelection selection(field.views, field.visible, 3);
-  ViewSelection::Scratch scratch;
   std::vector<ChosenView> chosen;
   const std::uint32_t point = 0;
   const float weight = 1;
@@ -354,7 +414,7 @@ TEST(ViewSelection, WeightsAreContinuousAcrossTheBorderOfAPictureAndOfTheMask) {
   for (int s = 0; s <= steps; ++s) {
     ViewQuery query = queryFor(field, 2, point, weight);
     query.p = Point<AcquisitionSpace>(-1 + 2.0 * s / steps, 0.1, -0.1);
-    const auto result = selection.select(query, allowed, scratch, chosen);
+    const auto result = select(selection, query, allowed, chosen);
     std::map<std::uint32_t, double> now;
     if (result == ViewSelection::Result::seen)
       for (const ChosenView& c : chosen) now[c.view] = c.weight;

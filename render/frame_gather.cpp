@@ -1,0 +1,155 @@
+// A block of pixels from its rays to the operations that shade it.
+#include <algorithm>
+#include <chrono>
+
+#include "render/frame_state.h"
+#include "render/look_up.h"
+
+namespace srf {
+
+void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
+                                         std::vector<ShadingOperation>& out) const {
+  // The 2 x 2 texels fall into at most 2 x 2 tiles; each tile gets the taps that lie in it.
+  const StoreGeometry& geometry = selection->views()[chosen.view].geometry;
+  const std::size_t first = out.size();
+  for (int t = 0; t < 4; ++t) {
+    if (!(chosen.fetch.tap[t] > 0)) continue;
+    const int x = chosen.fetch.x + t % 2, y = chosen.fetch.y + t / 2;
+    const int tile_x = x / kTile, tile_y = y / kTile;
+    const std::uint32_t tile = geometry.tileNumber({chosen.fetch.level, tile_x, tile_y});
+    // The first texel of the fetch, or where the fetch enters the tile.
+    const int corner_x = std::max(chosen.fetch.x - tile_x * kTile, 0);
+    const int corner_y = std::max(chosen.fetch.y - tile_y * kTile, 0);
+    std::size_t at = first;
+    while (at < out.size() && out[at].tile != tile) ++at;
+    if (at == out.size())
+      out.push_back({target,
+                     lights,
+                     tile,
+                     static_cast<std::uint16_t>(chosen.view),
+                     static_cast<std::uint8_t>(corner_x),
+                     static_cast<std::uint8_t>(corner_y),
+                     {}});
+    out[at].tap[(y % kTile - corner_y) * 2 + (x % kTile - corner_x)] =
+        static_cast<float>(chosen.weight * chosen.fetch.tap[t]);
+  }
+}
+
+void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, PixelBlock& out, Layers* layers,
+                                  std::vector<ExplainedHit>* explained) const {
+  const Camera<ObjectSpace>& camera = plan.camera;
+  const DeformedModel& deformed = plan.deformed;
+  const GuidedLighting* guided = plan.guided ? &*plan.guided : nullptr;
+  const int width = camera.lens.width;
+  const std::vector<Ray<ObjectSpace>>& rays = in.rays;
+  const std::vector<std::uint32_t>& pixels = in.pixel;
+  using Clock = std::chrono::steady_clock;
+  auto clock = Clock::now();
+  const auto lap = [&](GatherStage stage) {
+    const auto now = Clock::now();
+    out.seconds[stage] += std::chrono::duration<double>(now - clock).count();
+    clock = now;
+  };
+  std::vector<SurfaceHit> hits(rays.size());
+  deformed.intersect(rays, hits);  // M10
+  lap(kTrace);
+
+  std::vector<std::size_t> met;
+  std::vector<LookUp> look_ups;
+  for (std::size_t i = 0; i < hits.size(); ++i)
+    if (hits[i].count > 0) {
+      met.push_back(i);
+      look_ups.push_back(lookUp(hits[i], settings.accuracy.frame));  // M11
+      out.collapsed += look_ups.back().collapsed;
+    }
+  lap(kLookUp);
+
+  std::vector<ViewQuery> queries;
+  queries.reserve(met.size());
+  for (std::size_t m = 0; m < met.size(); ++m) {
+    const SurfaceHit& hit = hits[met[m]];
+    const LookUp& look_up = look_ups[m];
+    ViewQuery query{look_up.p, look_up.acquisition_from_object * -rays[met[m]].direction, look_up.normal};  // v = L v*
+    if (!camera.lens.isOrthographic()) query.eye_distance = distance(camera.center(), hit.p_star);
+    query.points = {hit.point, static_cast<std::size_t>(hit.count)};
+    query.point_weights = {hit.weight, static_cast<std::size_t>(hit.count)};
+    queries.push_back(query);
+  }
+  thread_local ViewSelection::Scratch scratch;
+  ViewSelection::Chosen chosen;
+  selection->select(queries, plan.allowed, scratch, chosen);  // M12
+  for (std::size_t m = 0; m < met.size(); ++m)
+    levels->apply(camera, static_cast<double>(plan.pattern.size()), hits[met[m]], look_ups[m], queries[m].view,
+                  std::span(chosen.views).subspan(chosen.first[m], chosen.first[m + 1] - chosen.first[m]));
+
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> handles;  // (list, light weights) of the hit
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> wanted;   // (position in met, list) by handle, weighed below
+  wanted.reserve(met.size());
+  out.pixel.reserve(met.size());
+  out.shading.operations.reserve(chosen.views.size() + chosen.views.size() / 4);
+  for (std::size_t m = 0; m < met.size(); ++m) {
+    const auto target = static_cast<std::uint32_t>(out.pixel.size());
+    const bool first_of_pixel = out.pixel.empty() || out.pixel.back() != pixels[met[m]];
+    out.pixel.push_back(pixels[met[m]]);
+    out.not_seen += chosen.result[m] == ViewSelection::Result::not_seen;
+    out.no_view += chosen.result[m] == ViewSelection::Result::none;
+    handles.clear();
+    for (const ChosenView& c : chosen.of(m)) {
+      const std::uint32_t list = list_of_view[c.view];
+      auto handle = std::find_if(handles.begin(), handles.end(), [&](const auto& h) { return h.first == list; });
+      if (handle == handles.end()) {
+        handle = handles.insert(handle, {list, static_cast<std::uint32_t>(wanted.size())});
+        wanted.emplace_back(static_cast<std::uint32_t>(m), list);
+      }
+      addOperations(target, c, handle->second, out.shading.operations);
+    }
+    const SurfaceHit& hit = hits[met[m]];
+    if (first_of_pixel && layers)
+      layers->set(static_cast<int>(pixels[met[m]] % width), static_cast<int>(pixels[met[m]] / width),
+                  {hit, look_ups[m], queries[m].view, chosen.of(m),
+                   deformed.model().kind == ModelKind::surfels ? hit.count : 1});
+    if (explained) {
+      const auto views = chosen.of(m);
+      explained->push_back({rays[met[m]],
+                            hit,
+                            look_ups[m],
+                            queries[m].view,
+                            chosen.result[m],
+                            {views.begin(), views.end()},
+                            {},
+                            {},
+                            {}});
+    }
+  }
+  out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
+  lap(kViews);
+
+  GuidedBlock guided_block;
+  if (guided) {
+    std::vector<GuidedQuery> guided_queries;
+    for (std::size_t m = 0; m < met.size(); ++m)
+      guided_queries.push_back({&hits[met[m]], &look_ups[m], queries[m].view, chosen.of(m)});
+    guided->prepare(guided_queries, guided_block);
+    out.guided.resize(met.size());
+    lap(kShadows);
+  }
+  for (const auto& [m, list] : wanted) {  // M13, M14
+    const LookUp& look_up = look_ups[m];
+    if (guided && guided_block.hits[m].gate > 0) {
+      guided->gather(guided_block, m, list, out.shading.lights, out.guided[m]);
+      continue;
+    }
+    plan.lighting.gather(list,
+                         {look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
+                          look_up.acquisition_from_object.inverse() * look_up.normal},
+                         out.shading.lights);
+  }
+  out.shading.lights.known = {};
+  out.shadow_rays = guided_block.shadow_rays;
+  out.model_values = guided_block.model_values;
+  lap(kWeights);
+  if (settings.order == ExecutionOrder::sorted) sortOperations(out.shading);
+  lap(kSort);
+}
+
+}  // namespace srf

@@ -1,0 +1,50 @@
+#include "render/pixel_rays.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace srf {
+
+std::vector<Vec2> samplePattern(int samples) {
+  std::vector<Vec2> pattern;
+  const int side = static_cast<int>(std::lround(std::sqrt(samples)));
+  if (side * side == samples) {
+    for (int y = 0; y < side; ++y)
+      for (int x = 0; x < side; ++x) pattern.push_back({(x + 0.5) / side, (y + 0.5) / side});
+    return pattern;
+  }
+  constexpr double kPlastic = 1.32471795724474602596;  // root of x^3 = x + 1
+  const auto wrap = [](double x) { return x - std::floor(x); };
+  for (int i = 0; i < samples; ++i)
+    pattern.push_back({wrap(0.5 + i / kPlastic), wrap(0.5 + i / (kPlastic * kPlastic))});
+  return pattern;
+}
+
+void PixelRays::add(const Camera<ObjectSpace>& camera, std::span<const Vec2> pattern, int x, int y) {
+  for (const Vec2& at : pattern)
+    if (const auto ray = camera.ray({x + at.x, y + at.y})) {
+      rays.push_back(*ray);
+      pixel.push_back(static_cast<std::uint32_t>(y * camera.lens.width + x));
+    }
+}
+
+int pixelBlocks(const Camera<ObjectSpace>& camera) {
+  const auto along = [](int pixels) { return (pixels + kPixelBlock - 1) / kPixelBlock; };
+  return along(camera.lens.width) * along(camera.lens.height);
+}
+
+PixelRays raysOfBlock(const Camera<ObjectSpace>& camera, std::span<const Vec2> pattern, const ScreenCover& cover,
+                      int block) {
+  const int width = camera.lens.width, height = camera.lens.height;
+  const int blocks_x = (width + kPixelBlock - 1) / kPixelBlock;
+  const int x0 = block % blocks_x * kPixelBlock, y0 = block / blocks_x * kPixelBlock;
+  PixelRays result;
+  result.rays.reserve(kPixelBlock * kPixelBlock * pattern.size());
+  result.pixel.reserve(kPixelBlock * kPixelBlock * pattern.size());
+  for (int y = y0; y < std::min(height, y0 + kPixelBlock); ++y)
+    for (int x = x0; x < std::min(width, x0 + kPixelBlock); ++x)
+      if (cover.covers(x, y)) result.add(camera, pattern, x, y);
+  return result;
+}
+
+}  // namespace srf

@@ -1,0 +1,145 @@
+#include "render/texel_kernels.h"
+
+#include "base/image_io.h"
+#include "render/highway_targets.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "render/texel_kernels.cpp"
+#include <hwy/foreach_target.h>
+#include <hwy/highway.h>
+
+HWY_BEFORE_NAMESPACE();
+namespace srf {
+namespace HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+constexpr std::size_t kSumLanes = 16;
+using F = hn::CappedTag<float, kSumLanes>;
+constexpr std::size_t kParts = kSumLanes / hn::MaxLanes(F());
+using Part = hn::Vec<F>;
+
+// 16 lanes to 4, in halves.
+template <class D>
+hn::Vec<hn::FixedTag<float, 4>> fold(D, hn::Vec<D>* parts) {
+  for (std::size_t left = kParts; left > 1; left /= 2)
+    for (std::size_t i = 0; i < left / 2; ++i) parts[i] = hn::Add(parts[i], parts[i + left / 2]);
+  const hn::FixedTag<float, 4> four;
+  if constexpr (hn::MaxLanes(D()) == 16) {
+    const hn::FixedTag<float, 8> eight;
+    const auto half = hn::Add(hn::LowerHalf(eight, parts[0]), hn::UpperHalf(eight, parts[0]));
+    return hn::Add(hn::LowerHalf(four, half), hn::UpperHalf(four, half));
+  } else if constexpr (hn::MaxLanes(D()) == 8) {
+    return hn::Add(hn::LowerHalf(four, parts[0]), hn::UpperHalf(four, parts[0]));
+  } else {
+    return parts[0];
+  }
+}
+
+template <int kVectors>
+void dotsOf(const std::uint16_t* texel, int pad, const float* const* vectors, float* const* products) {
+  const F f;
+  const hn::Rebind<hwy::float16_t, F> h;
+  const hn::FixedTag<float, 4> four;
+  hn::Vec<hn::FixedTag<float, 4>> sums[3][kVectors];
+  const auto* halves = reinterpret_cast<const hwy::float16_t*>(texel);
+  for (int c = 0; c < 3; ++c) {
+    Part parts[kVectors][kParts];
+    for (auto& of_vector : parts)
+      for (Part& part : of_vector) part = hn::Zero(f);
+    for (int i = c * pad; i < (c + 1) * pad; i += static_cast<int>(kSumLanes))
+      for (std::size_t p = 0; p < kParts; ++p) {
+        const std::size_t at = static_cast<std::size_t>(i) + p * hn::Lanes(f);
+        const auto value = hn::PromoteTo(f, hn::LoadU(h, halves + at));
+        for (int v = 0; v < kVectors; ++v) parts[v][p] = hn::MulAdd(value, hn::LoadU(f, vectors[v] + at), parts[v][p]);
+      }
+    for (int v = 0; v < kVectors; ++v) sums[c][v] = fold(f, parts[v]);
+  }
+  // Four lanes of r, g and b to r, g, b, 0: lanes 0 and 2, 1 and 3 first, then the two sums.
+  const auto zero = hn::Zero(four);
+  for (int v = 0; v < kVectors; ++v) {
+    const auto &r = sums[0][v], &g = sums[1][v], &b = sums[2][v];
+    const auto rb = hn::Add(hn::InterleaveLower(four, r, b), hn::InterleaveUpper(four, r, b));
+    const auto g0 = hn::Add(hn::InterleaveLower(four, g, zero), hn::InterleaveUpper(four, g, zero));
+    hn::StoreU(hn::Add(hn::InterleaveLower(four, rb, g0), hn::InterleaveUpper(four, rb, g0)), four, products[v]);
+  }
+}
+
+void dots(const std::uint16_t* texel, int pad, const float* const* vectors, int count, float* const* products) {
+  switch (count) {
+    case 1:
+      return dotsOf<1>(texel, pad, vectors, products);
+    case 2:
+      return dotsOf<2>(texel, pad, vectors, products);
+    case 3:
+      return dotsOf<3>(texel, pad, vectors, products);
+    default:
+      return dotsOf<4>(texel, pad, vectors, products);
+  }
+}
+
+void lights(const std::uint16_t* texel, int pad, const std::uint32_t* light, int count, float* const* products) {
+  const hn::FixedTag<float, 4> four;
+  const hn::Rebind<hwy::float16_t, decltype(four)> h;
+  for (int i = 0; i < count; ++i) {
+    const std::uint16_t* at = texel + light[i];
+    alignas(8) const std::uint16_t rgb[4] = {at[0], at[pad], at[2 * pad], 0};
+    hn::StoreU(hn::PromoteTo(four, hn::LoadU(h, reinterpret_cast<const hwy::float16_t*>(rgb))), four, products[i]);
+  }
+}
+
+void sum(const ProductSum* sums, std::size_t count) {
+  const hn::FixedTag<float, 4> four;
+  for (std::size_t s = 0; s < count; ++s) {
+    const ProductSum& one = sums[s];
+    const auto t0 = hn::Set(four, one.tap[0]), t1 = hn::Set(four, one.tap[1]), t2 = hn::Set(four, one.tap[2]),
+               t3 = hn::Set(four, one.tap[3]);
+    const std::size_t a = kProductRow * std::size_t{one.texel[0]}, b = kProductRow * std::size_t{one.texel[1]},
+                      c = kProductRow * std::size_t{one.texel[2]}, d = kProductRow * std::size_t{one.texel[3]};
+    const auto interpolated = [&](const float* row) {
+      return hn::MulAdd(t3, hn::LoadU(four, row + d),
+                        hn::MulAdd(t2, hn::LoadU(four, row + c),
+                                   hn::MulAdd(t1, hn::LoadU(four, row + b), hn::Mul(t0, hn::LoadU(four, row + a)))));
+    };
+    float start[4] = {(*one.result)[0], (*one.result)[1], (*one.result)[2], 0};
+    auto total = hn::LoadU(four, start);
+    for (int i = 0; i < one.share_count; ++i)
+      total = hn::MulAdd(hn::Set(four, one.shares[i]), interpolated(one.rows[i]), total);
+    for (int i = 0; i < one.color_count; ++i)
+      total =
+          hn::MulAdd(hn::LoadU(four, one.colors + kProductRow * i), interpolated(one.rows[one.share_count + i]), total);
+    hn::StoreU(total, four, start);
+    *one.result = {start[0], start[1], start[2]};
+  }
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace srf
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace srf {
+HWY_EXPORT(dots);
+HWY_EXPORT(lights);
+HWY_EXPORT(sum);
+
+void texelDots(const std::uint16_t* texel, int light_pad, const float* const* vectors, int count,
+               float* const* products) {
+  HWY_DYNAMIC_DISPATCH(dots)(texel, light_pad, vectors, count, products);
+}
+std::array<double, 3> texelDotReference(const std::uint16_t* texel, int light_pad, const float* vector) {
+  std::array<double, 3> sum{};
+  for (int c = 0; c < 3; ++c)
+    for (int j = c * light_pad; j < (c + 1) * light_pad; ++j)
+      sum[c] += static_cast<double>(floatFromHalf(texel[j])) * vector[j];
+  return sum;
+}
+void texelLights(const std::uint16_t* texel, int light_pad, const std::uint32_t* lights, int count,
+                 float* const* products) {
+  HWY_DYNAMIC_DISPATCH(lights)(texel, light_pad, lights, count, products);
+}
+void sumProducts(const ProductSum* sums, std::size_t count) {
+  HWY_DYNAMIC_DISPATCH(sum)(sums, count);
+}
+
+}  // namespace srf
+#endif

@@ -1,0 +1,109 @@
+#include "render/view_kernels.h"
+
+#include "field/lumigraph_weights.h"
+#include "render/highway_targets.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "render/view_kernels.cpp"
+#include <hwy/foreach_target.h>
+#include <hwy/highway.h>
+// After highway.h.
+#include <hwy/contrib/math/math-inl.h>
+
+HWY_BEFORE_NAMESPACE();
+namespace srf {
+namespace HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+void bounds(const float* x, const float* y, const float* z, std::size_t count, const NearQuery& query, float* bound) {
+  const hn::CappedTag<float, kViewLanes> f;
+  const auto px = hn::Set(f, query.p[0]), py = hn::Set(f, query.p[1]), pz = hn::Set(f, query.p[2]);
+  const auto vx = hn::Set(f, query.v[0]), vy = hn::Set(f, query.v[1]), vz = hn::Set(f, query.v[2]);
+  const auto inverse_eye = hn::Set(f, query.inverse_eye), one = hn::Set(f, 1.f), zero = hn::Zero(f);
+  const auto share = hn::Set(f, static_cast<float>(kResolutionPenalty)), margin = hn::Set(f, 1e-5f);
+  for (std::size_t i = 0; i < count; i += hn::Lanes(f)) {
+    const auto tx = hn::Sub(hn::LoadU(f, x + i), px), ty = hn::Sub(hn::LoadU(f, y + i), py),
+               tz = hn::Sub(hn::LoadU(f, z + i), pz);
+    const auto squared = hn::MulAdd(tx, tx, hn::MulAdd(ty, ty, hn::Mul(tz, tz)));
+    auto r = hn::ApproximateReciprocalSqrt(squared);  // and a step of Newton's: some 1e-7
+    r = hn::Mul(r, hn::NegMulAdd(hn::Mul(hn::Set(f, 0.5f), squared), hn::Mul(r, r), hn::Set(f, 1.5f)));
+    const auto dx = hn::MulSub(tx, r, vx), dy = hn::MulSub(ty, r, vy), dz = hn::MulSub(tz, r, vz);
+    const auto chord = hn::Sqrt(hn::MulAdd(dx, dx, hn::MulAdd(dy, dy, hn::Mul(dz, dz))));
+    const auto ratio = hn::Mul(hn::Mul(squared, r), inverse_eye);
+    const auto resolution = hn::Mul(share, hn::Max(zero, hn::Sub(ratio, one)));
+    const auto least = hn::Sub(hn::Add(chord, resolution), hn::Mul(margin, hn::Add(one, ratio)));
+    // Not a number where p lies in the camera, or beyond float's range: then nothing is known.
+    hn::StoreU(hn::IfThenElse(hn::Gt(least, zero), least, zero), f, bound + i);
+  }
+}
+
+void place(const Camera<AcquisitionSpace>& camera, double least_foreshortening, const HitLanes& hits, std::size_t count,
+           const ViewLanes& out) {
+  const hn::CappedTag<double, kViewLanes> d;
+  const bool orthographic = camera.lens.isOrthographic();
+  const Mat3& rotation = camera.pose.rotation().raw();  // columns: the camera's axes
+  const Vec3 forward = camera.forward().raw(), center = camera.center().raw();
+  const auto zero = hn::Zero(d), one = hn::Set(d, 1.0), half = hn::Set(d, 0.5);
+  const auto dot = [&](auto ax, auto ay, auto az, auto bx, auto by, auto bz) {
+    return hn::Add(hn::Add(hn::Mul(ax, bx), hn::Mul(ay, by)), hn::Mul(az, bz));
+  };
+  const auto axis = [&](int column, auto x, auto y, auto z) {
+    return dot(x, y, z, hn::Set(d, rotation.row[0][column]), hn::Set(d, rotation.row[1][column]),
+               hn::Set(d, rotation.row[2][column]));
+  };
+  for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
+    // From p to the camera.
+    auto tx = hn::Sub(hn::Set(d, center.x), hn::LoadU(d, hits.px + i));
+    auto ty = hn::Sub(hn::Set(d, center.y), hn::LoadU(d, hits.py + i));
+    auto tz = hn::Sub(hn::Set(d, center.z), hn::LoadU(d, hits.pz + i));
+    const auto qx = hn::Neg(axis(0, tx, ty, tz)), qy = hn::Neg(axis(1, tx, ty, tz)), qz = hn::Neg(axis(2, tx, ty, tz));
+    if (orthographic) tx = hn::Set(d, -forward.x), ty = hn::Set(d, -forward.y), tz = hn::Set(d, -forward.z);
+    const auto length = hn::Sqrt(dot(tx, ty, tz, tx, ty, tz));
+    const auto inverse = hn::Div(one, length);
+    tx = hn::Mul(tx, inverse), ty = hn::Mul(ty, inverse), tz = hn::Mul(tz, inverse);
+    const auto cx = hn::Sub(tx, hn::LoadU(d, hits.vx + i)), cy = hn::Sub(ty, hn::LoadU(d, hits.vy + i)),
+               cz = hn::Sub(tz, hn::LoadU(d, hits.vz + i));
+    const auto chord = hn::Sqrt(dot(cx, cy, cz, cx, cy, cz));
+    const auto angle = hn::Asin(d, hn::Min(one, hn::Mul(half, chord)));
+    hn::StoreU(hn::Add(angle, angle), d, out.angle + i);
+
+    const auto eye = hn::LoadU(d, hits.eye_distance + i);
+    const auto further = hn::Div(hn::Mul(hn::Set(d, kResolutionPenalty), hn::Sub(length, eye)), eye);
+    const auto counts = orthographic ? hn::Lt(zero, zero) : hn::And(hn::Gt(length, eye), hn::Gt(eye, zero));
+    hn::StoreU(hn::IfThenElseZero(counts, further), d, out.resolution + i);
+
+    const auto facing =
+        dot(hn::LoadU(d, hits.nx + i), hn::LoadU(d, hits.ny + i), hn::LoadU(d, hits.nz + i), tx, ty, tz);
+    hn::StoreU(hn::Sqrt(hn::Min(one, hn::Max(hn::Set(d, least_foreshortening), facing))), d, out.foreshortening + i);
+
+    const auto x = orthographic ? qx : hn::Div(qx, qz), y = orthographic ? qy : hn::Div(qy, qz);
+    const Intrinsics& lens = camera.lens;
+    hn::StoreU(
+        hn::Add(hn::Add(hn::Mul(hn::Set(d, lens.fl_x), x), hn::Mul(hn::Set(d, lens.skew), y)), hn::Set(d, lens.cx)), d,
+        out.pixel_x + i);
+    hn::StoreU(hn::Add(hn::Mul(hn::Set(d, lens.fl_y), y), hn::Set(d, lens.cy)), d, out.pixel_y + i);
+    const auto before = orthographic ? hn::Gt(one, zero) : hn::Gt(qz, zero);
+    hn::StoreU(hn::IfThenElseZero(hn::And(before, hn::Gt(length, zero)), one), d, out.usable + i);
+  }
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace srf
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace srf {
+HWY_EXPORT(bounds);
+HWY_EXPORT(place);
+
+void penaltyBounds(const float* x, const float* y, const float* z, std::size_t count, const NearQuery& query,
+                   float* bound) {
+  HWY_DYNAMIC_DISPATCH(bounds)(x, y, z, count, query, bound);
+}
+void placeViews(const Camera<AcquisitionSpace>& camera, double least_foreshortening, const HitLanes& hits,
+                std::size_t count, const ViewLanes& out) {
+  HWY_DYNAMIC_DISPATCH(place)(camera, least_foreshortening, hits, count, out);
+}
+
+}  // namespace srf
+#endif
