@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <optional>
+#include <random>
 #include <span>
 
 #include "acquire/synthetic_indirect.h"
@@ -42,8 +43,13 @@ struct Incident {
 class ReferenceScene {
  public:
   ReferenceScene(const SyntheticObject& object, const ReferenceWarp& warp, const ReferenceLights& lights,
-                 ReferenceShadows shadows)
-      : object_(object), warp_(warp), lights_(lights), shadows_(shadows), mesh_(object.tessellate(kCells)) {
+                 const ReferenceOptions& options)
+      : object_(object),
+        warp_(warp),
+        lights_(lights),
+        options_(options),
+        shadows_(options.shadows),
+        mesh_(object.tessellate(kCells)) {
     std::vector<Point<ObjectSpace>> moved(mesh_.positions.size());
     parallelFor(moved.size(), 4096, [&](std::size_t begin, std::size_t end) {
       for (std::size_t i = begin; i < end; ++i) moved[i] = warp.map(mesh_.positions[i]);
@@ -56,13 +62,14 @@ class ReferenceScene {
     const std::vector<Triangle> casters = object.casters(mesh_);
     if (casters.size() < mesh_.triangles.size()) deformed_casters_ = RayScene<ObjectSpace>::ofTriangles(moved, casters);
     // A convex object casts no shadow on itself at rest.
-    if (shadows != ReferenceShadows::none && !object.convex())
+    if (shadows_ != ReferenceShadows::none && !object.convex())
       rest_casters_ = RayScene<AcquisitionSpace>::ofTriangles(mesh_.positions, casters);
     rest_offset_ = kShadowOffset * mesh_.bounds().diameter();
     solveIndirect();
   }
 
-  void renderRow(const Camera<ObjectSpace>& camera, int n, int y, float* rgba) const {
+  void renderRow(const Camera<ObjectSpace>& camera, int y, float* rgba) const {
+    const int n = options_.supersampling;
     std::vector<double> sum(4 * static_cast<std::size_t>(camera.lens.width), 0.0);
     const std::vector<Sample> samples = meetRow(camera, n, y, sum);
     const auto add = [&](const Sample& s, const Vec3& radiance) {
@@ -82,33 +89,89 @@ class ReferenceScene {
   std::vector<Sample> meetRow(const Camera<ObjectSpace>& camera, int n, int y, std::vector<double>& rgba) const {
     std::vector<Ray<ObjectSpace>> rays;
     std::vector<int> column;
+    std::mt19937_64 random(y);  // of the row: the same for any thread count
     for (int x = 0; x < camera.lens.width; ++x)
       for (int k = 0; k < n * n; ++k)
         if (const auto ray = camera.ray({x + (k % n + 0.5) / n, y + (k / n + 0.5) / n})) {
-          rays.push_back(*ray);
+          rays.push_back(options_.lens ? throughLens(*ray, camera, random) : *ray);
           column.push_back(x);
         }
     std::vector<TriangleHit> hits(rays.size());
     deformed_->intersect(rays, hits);
     std::vector<Sample> samples;
     for (std::size_t i = 0; i < rays.size(); ++i) {
+      if (options_.ground && meetsGround(rays[i], hits[i], &rgba[4 * column[i]])) continue;
       if (!hits[i].hit()) continue;
       rgba[4 * column[i] + 3] += 1;
-      addSamples(hits[i], camera, column[i], samples);
+      addSamples(hits[i], camera, rays[i].origin, column[i], samples);
     }
     return samples;
   }
 
+  // From a point of the lens drawn at random to where the ray through its centre meets the plane in focus.
+  Ray<ObjectSpace> throughLens(const Ray<ObjectSpace>& ray, const Camera<ObjectSpace>& camera,
+                               std::mt19937_64& random) const {
+    std::uniform_real_distribution<double> across(-1, 1);
+    double x, y;
+    do x = across(random), y = across(random);
+    while (x * x + y * y > 1);
+    const double ahead = dot(ray.direction, camera.forward());
+    if (!(ahead > 1e-6)) return ray;
+    const double r = options_.lens->aperture;
+    const auto origin = ray.origin + camera.pose.rotation() * Vector<CameraSpace>(r * x, r * y, 0);
+    const auto in_focus = ray.origin + (options_.lens->focus / ahead) * ray.direction;
+    return {origin, normalize(in_focus - origin).value_or(ray.direction)};
+  }
+
+  // Adds the ground to a pixel where the ray comes upon it first.
+  bool meetsGround(const Ray<ObjectSpace>& ray, const TriangleHit& hit, double* rgba) const {
+    const ReferenceGround& ground = *options_.ground;
+    const double t = (ground.height - ray.origin.raw().z) / ray.direction.raw().z;
+    if (!(ray.direction.raw().z < 0 && t > 0) || (hit.hit() && hit.distance < t)) return false;
+    const auto p = ray.origin + t * ray.direction;
+    const Point<ObjectSpace> from(p.raw().x, p.raw().y, ground.height + 1e-3 * offset_);
+    Vec3 open, lit;
+    std::vector<Ray<ObjectSpace>> rays;
+    std::vector<double> far;
+    std::vector<Vec3> irradiance;
+    const auto ask = [&](const Direction<ObjectSpace>& to, double distance, const Vec3& normal_irradiance) {
+      if (!(to.raw().z > 0)) return;
+      rays.push_back({from, to});
+      far.push_back(distance);
+      irradiance.push_back(to.raw().z * normal_irradiance);
+    };
+    for (const auto& light : lights_.distant) ask(light.direction, INFINITY, light.irradiance);
+    for (const auto& light : lights_.near_lights) {
+      const double d = distance(light.position, from);
+      if (const auto to = normalize(light.position - from)) ask(*to, d, light.intensity / (d * d));
+    }
+    std::vector<std::uint8_t> blocked(rays.size());
+    (deformed_casters_ ? *deformed_casters_ : *deformed_).occluded(rays, far, 0, blocked);
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+      open += irradiance[i];
+      if (!blocked[i]) lit += irradiance[i];
+    }
+    const Vec3 luminance{0.2126, 0.7152, 0.0722};
+    if (ground.shadow_only) {
+      rgba[3] += dot(luminance, open) > 0 ? 1 - dot(luminance, lit) / dot(luminance, open) : 0;
+    } else {
+      for (int c = 0; c < 3; ++c) rgba[c] += ground.albedo[c] / kPi * lit[c];
+      rgba[3] += 1;
+    }
+    return true;
+  }
+
   // What is seen at a hit; nothing where the inside is seen, or where Psi collapses the surface. Through glass the
   // object is seen as at rest from the direction that L gives, and each point of it lit where Psi has put it.
-  void addSamples(const TriangleHit& hit, const Camera<ObjectSpace>& camera, int x,
+  void addSamples(const TriangleHit& hit, const Camera<ObjectSpace>& camera, const Point<ObjectSpace>& eye, int x,
                   std::vector<Sample>& samples) const {
     const Triangle& t = mesh_.triangles[hit.triangle];
     const Point<AcquisitionSpace>&a = mesh_.positions[t[0]], &b = mesh_.positions[t[1]], &c = mesh_.positions[t[2]];
     const auto p0 = object_.project(a + double{hit.b1} * (b - a) + double{hit.b2} * (c - a));
     const auto first = surfaceAt(object_.shadingPoint(p0));
     if (!first) return;
-    const auto v_star = camera.viewDirection(first->p_star);
+    const auto seen_along = camera.viewDirection(first->p_star);
+    const auto v_star = options_.lens ? normalize(eye - first->p_star).value_or(seen_along) : seen_along;
     if (dot(first->n_star, v_star) < kInside) return;
     for (const auto& [point, view, weight] : object_.seenAt(p0, first->acquisition_from_object * v_star)) {
       auto sample = point.p == p0 ? first : surfaceAt(point);
@@ -235,6 +298,7 @@ class ReferenceScene {
   const SyntheticObject& object_;
   const ReferenceWarp& warp_;
   const ReferenceLights& lights_;
+  const ReferenceOptions& options_;
   ReferenceShadows shadows_;
   AcquisitionMesh mesh_;
   std::optional<RayScene<ObjectSpace>> deformed_, deformed_casters_;
@@ -252,12 +316,12 @@ const std::vector<std::string>& referenceShadowNames() {
 
 ImageF renderReference(const SyntheticObject& object, const ReferenceWarp& warp, const Camera<ObjectSpace>& camera,
                        const ReferenceLights& lights, const ReferenceOptions& options, Reporter& reporter) {
-  const ReferenceScene scene(object, warp, lights, options.shadows);
+  const ReferenceScene scene(object, warp, lights, options);
   ImageF picture(camera.lens.width, camera.lens.height, 4);
   Reporter::Stage stage(reporter, "reference", picture.height());
   parallelFor(picture.height(), 1, [&](std::size_t begin, std::size_t end) {
     for (std::size_t y = begin; y < end; ++y) {
-      scene.renderRow(camera, options.supersampling, static_cast<int>(y), picture.row(static_cast<int>(y)));
+      scene.renderRow(camera, static_cast<int>(y), picture.row(static_cast<int>(y)));
       stage.advance();
     }
   });

@@ -2,6 +2,7 @@
 // would render. It shares no code with the renderer but the look-up L, which the caller gives.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -50,9 +51,24 @@ enum class ReferenceShadows {
 };
 const std::vector<std::string>& referenceShadowNames();
 
+/// A thin lens at the camera's centre, facing along its axis.
+struct ReferenceLens {
+  double aperture = 0;  ///< radius, units
+  double focus = 0;     ///< distance of the plane in focus along the camera's axis, units
+};
+/// The matt plane z = height, lit from above by distant and near lights, seen from above; or only its shadow: black, as
+/// opaque as the share of luminance that the object keeps away.
+struct ReferenceGround {
+  double height = 0;
+  Vec3 albedo;
+  bool shadow_only = false;
+};
+
 struct ReferenceOptions {
   ReferenceShadows shadows = ReferenceShadows::deformed;
-  int supersampling = 4;  ///< n x n samples a pixel, box filter
+  int supersampling = 4;  ///< n x n samples a pixel, box filter; each from another point of the lens, drawn at random
+  std::optional<ReferenceLens> lens;
+  std::optional<ReferenceGround> ground;
 };
 
 /// Width x height x 4: radiance and coverage, premultiplied, linear. At a point, with l = L l* and v = L v*:

@@ -9,6 +9,7 @@
 #include "base/error.h"
 #include "base/image_io.h"
 #include "field/capture_file.h"
+#include "render/effects.h"
 #include "render/light_set.h"
 #include "render/look_up.h"
 #include "render/scene.h"
@@ -56,6 +57,13 @@ ReferenceLights referenceLights(const FrameLights& frame, const Capture& capture
   return lights;
 }
 
+void setEffects(const FrameEffects& effects, ReferenceOptions& options) {
+  options.lens.reset();
+  options.ground.reset();
+  if (const auto& lens = effects.lens) options.lens = {lens->aperture, lens->focus};
+  if (const auto& ground = effects.ground) options.ground = {ground->height, ground->albedo, ground->shadow_only};
+}
+
 void renderReferences(const ReferenceJob& job, const std::string& command, Reporter& reporter) {
   const SyntheticObject object = readSyntheticObject(job.capture);
   const Capture capture = readCapture(job.capture);
@@ -78,11 +86,23 @@ void renderReferences(const ReferenceJob& job, const std::string& command, Repor
   options.supersampling = static_cast<int>(std::ceil(std::sqrt(static_cast<double>(job.samples)) - 1e-9));
   const std::vector<int> frames = job.frames.empty() ? scene.frames : parseFrames(job.frames, "--frames");
   Reporter::Stage stage(reporter, "frames", frames.size());
+  // Of motion, four times the moments that the scene asks for.
+  if (auto& blur = scene.effects.motion_blur) blur->samples *= 4;
   for (const int frame : frames) {
-    const Deformation psi = scene.deformation.at(frame);
-    const SceneWarp warp(psi, scene.accuracy.frame);
-    const ImageF picture = renderReference(object, warp, scene.cameraAt(frame),
-                                           referenceLights(lights.at(frame), capture), options, reporter);
+    const std::vector<double> moments = momentsOf(scene.effects, frame);
+    std::vector<double> sum;
+    ImageF picture;
+    for (const double moment : moments) {
+      const Deformation psi = scene.deformation.at(moment);
+      const SceneWarp warp(psi, scene.accuracy.frame);
+      setEffects(effectsAt(scene.effects, moment), options);
+      picture = renderReference(object, warp, scene.cameraAt(moment), referenceLights(lights.at(moment), capture),
+                                options, reporter);
+      sum.resize(picture.data().size());
+      for (std::size_t i = 0; i < sum.size(); ++i) sum[i] += picture.data()[i];
+    }
+    for (std::size_t i = 0; i < sum.size(); ++i)
+      picture.data()[i] = static_cast<float>(sum[i] / static_cast<double>(moments.size()));
     writeExr(frameFile(job.output, frame), picture,
              {{"command", command},
               {"version", projectVersion()},

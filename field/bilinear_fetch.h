@@ -14,6 +14,7 @@ struct SourceView {
   /// Of each level of the stored rectangle; none: the view holds no reflectance and is never chosen.
   const Coverage* coverage = nullptr;
   bool black_background = true;  ///< pixels are premultiplied by coverage
+  bool matte = false;            ///< texels of any coverage count, and a fetch tells how much of it the object covers
 };
 
 /// A mask-aware bilinear fetch (doc: formats, images): the 2 x 2 texels about a pixel and what each counts.
@@ -22,6 +23,7 @@ struct Fetch {
   float tap[4] = {};   ///< bilinear weight / coverage, over the usable texels: (x,y), (x+1,y), (x,y+1), (x+1,y+1)
   double covered = 0;  ///< share of the bilinear weight that falls on usable texels; 0: nothing can be fetched
   int level = 0;       ///< of the store
+  double alpha = 1;    ///< of a matte view: the coverage of the 2 x 2 texels by their bilinear weights
 };
 /// `pixel`: of the photograph, whatever the level.
 Fetch bilinearFetch(const SourceView& view, const Vec2& pixel, int level = 0);

@@ -72,14 +72,19 @@ std::size_t writeFrame(const fs::path& file, const Frame& frame, const Attribute
   return writeExr(file, frame.rgba.width(), frame.rgba.height(), channels, attributes);
 }
 
-void countPoints(const DeformedStatistics& statistics, int frame, Reporter& reporter) {
+std::string momentText(double moment) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%g", moment);
+  return text;
+}
+
+void countPoints(const DeformedStatistics& statistics, double moment, Reporter& reporter) {
   reporter.count("points.mirrored", statistics.mirrored);
   reporter.count("points.collapsed", statistics.collapsed);
   reporter.count("points.not_finite", statistics.not_finite);
   reporter.count("points.unsure_handedness", statistics.unsure_handedness);
   if (statistics.not_finite > 0)
-    reporter.warn("frame " + std::to_string(frame) + ": the deformation sends " +
-                  std::to_string(statistics.not_finite) +
+    reporter.warn("frame " + momentText(moment) + ": the deformation sends " + std::to_string(statistics.not_finite) +
                   " points of the model nowhere (NaN or Inf); they are left out");
 }
 
@@ -88,6 +93,67 @@ fs::path fieldOf(const Scene& scene, const AnimationOptions& options) {
   if (srf.empty()) throw badInput(scene.file.string(), "names no field; add \"srf\" to it or give --srf X.srf");
   return srf;
 }
+
+void warnOfGround(const Scene& scene, Reporter& reporter) {
+  const auto captured = [](const SceneLight& light) { return std::holds_alternative<CapturedLight>(light); };
+  if (scene.effects.ground && std::any_of(scene.lights.begin(), scene.lights.end(), captured))
+    reporter.warn(
+        scene.file.string() +
+        ": /effects/ground: captured lights are fixed to the surface and stand nowhere in the scene; the ground "
+        "is not lit by them");
+}
+
+/// The scene's model at one moment after another.
+struct MovingScene {
+  const Scene& scene;
+  const LightSet& lights;
+  const VertexMotion* vertex_motion;  ///< may be null
+  DeformedModel deformed;
+  Reporter& reporter;
+  std::optional<std::pair<double, MovedVertices>> vertices;  ///< of the moment asked for last
+  bool moved = false;
+
+  const MovedVertices& verticesAt(double moment) {
+    if (!vertices || vertices->first != moment) vertices.emplace(moment, vertex_motion->at(moment));
+    return vertices->second;
+  }
+  std::uint64_t verticesHash(const std::vector<double>& moments) {
+    std::uint64_t hash = 0;
+    for (const double moment : moments) {
+      const auto& positions = verticesAt(moment).positions;
+      hash = contentHash(positions.data(), positions.size() * sizeof positions[0], hash);
+    }
+    return hash;
+  }
+  void moveTo(double moment) {
+    if (moved && scene.deformation.constant()) return;
+    deformed.deform(scene.deformation.at(moment), vertex_motion ? &verticesAt(moment) : nullptr);
+    countPoints(deformed.statistics(), moment, reporter);
+    // M8: the sign comes from the volume of each closed part. One frame of the motion says it for all.
+    if (const std::size_t unsure = deformed.statistics().unsure_handedness; unsure > 0 && !moved)
+      reporter.warn("the mesh that moves is open in parts: nothing tells whether " + std::to_string(unsure) +
+                    " of its vertices are mirrored, and they are taken not to be");
+    moved = true;
+  }
+  Frame render(double moment, FrameRenderer& renderer) {
+    moveTo(moment);
+    return renderer.render(scene.cameraAt(moment), deformed, lights.at(moment), effectsAt(scene.effects, moment));
+  }
+  /// The mean over the moments; layers are those of the one in the middle, since positions and numbers have no mean.
+  Frame render(const std::vector<double>& moments, FrameRenderer& renderer) {
+    Frame frame = render(moments.front(), renderer);
+    if (moments.size() == 1) return frame;
+    std::vector<double> sum(frame.rgba.data().begin(), frame.rgba.data().end());
+    for (std::size_t i = 1; i < moments.size(); ++i) {
+      Frame next = render(moments[i], renderer);
+      for (std::size_t k = 0; k < sum.size(); ++k) sum[k] += next.rgba.data()[k];
+      if (i <= moments.size() / 2) frame.layers = std::move(next.layers);
+    }
+    for (std::size_t k = 0; k < sum.size(); ++k)
+      frame.rgba.data()[k] = static_cast<float>(sum[k] / static_cast<double>(moments.size()));
+    return frame;
+  }
+};
 
 }  // namespace
 
@@ -114,6 +180,7 @@ FrameSettings frameSettings(const Scene& scene, const std::optional<ReflectanceF
   if (scene.shadows == Shadows::automatic)
     settings.shadows = scene.deformation.none() ? Shadows::captured : Shadows::deformed;
   settings.samples = scene.samples;
+  settings.matte = scene.effects.matte;
   settings.memory_bytes = memory_bytes;
   return settings;
 }
@@ -133,23 +200,24 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
   const DeformableModel model = loadModel(srf, manifest);
   const std::optional<ReflectanceFit> fit = guidingFit(scene, srf, manifest, model);
   const LightSet light_set(scene, manifest, reporter);
+  warnOfGround(scene, reporter);
   const auto vertex_motion = scene.deformation.movesVertices()
                                  ? scene.deformation.vertexMotion(model.restMesh(), scene.fps, reporter)
                                  : nullptr;
-  for (const int number : numbers) {
-    scene.cameraAt(number);
-    scene.deformation.at(number);
-    light_set.at(number);
-    if (vertex_motion) vertex_motion->at(number);
-  }
+  for (const int number : numbers)
+    for (const double moment : momentsOf(scene.effects, number)) {
+      scene.cameraAt(moment);
+      scene.deformation.at(moment);
+      light_set.at(moment);
+      if (vertex_motion) vertex_motion->at(moment);
+    }
   if (!numbers.empty()) PartialFile may_write(frameFile(pattern, numbers.front()));
 
   const Attributes common = commonAttributes(scene, manifest, srf, layers);
-  DeformedModel deformed(model);
   FrameSettings settings = frameSettings(scene, fit, options.memory_bytes);
   settings.layers = layers;
+  MovingScene moving{scene, light_set, vertex_motion.get(), DeformedModel(model), reporter};
   std::optional<FrameRenderer> renderer;  // opened with the first frame that is not kept
-  bool moved = false;
   std::vector<RenderedFrame> rendered;
   Reporter::Stage stage(reporter, "render", numbers.size());
   for (const int number : numbers) {
@@ -157,26 +225,13 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
     RenderedFrame result{number, frameFile(pattern, number)};
     Attributes attributes = common;
     attributes["frameNumber"] = std::to_string(number);
-    std::optional<MovedVertices> vertices;
-    if (vertex_motion) {
-      vertices = vertex_motion->at(number);
-      const auto& positions = vertices->positions;
-      attributes["verticesHash"] = hexHash(contentHash(positions.data(), positions.size() * sizeof positions[0]));
-    }
+    const std::vector<double> moments = momentsOf(scene.effects, number);
+    if (vertex_motion) attributes["verticesHash"] = hexHash(moving.verticesHash(moments));
     if (options.resume && finished(result.file, attributes)) {
       result.kept = true;
     } else {
-      if (!moved || !scene.deformation.constant()) {
-        deformed.deform(scene.deformation.at(number), vertices ? &*vertices : nullptr);
-        countPoints(deformed.statistics(), number, reporter);
-        // M8: the sign comes from the volume of each closed part. One frame of the motion says it for all.
-        if (const std::size_t unsure = deformed.statistics().unsure_handedness; unsure > 0 && !moved)
-          reporter.warn("the mesh that moves is open in parts: nothing tells whether " + std::to_string(unsure) +
-                        " of its vertices are mirrored, and they are taken not to be");
-        moved = true;
-      }
       if (!renderer) renderer.emplace(srf, manifest, model, settings, reporter);
-      const Frame frame = renderer->render(scene.cameraAt(number), deformed, light_set.at(number));
+      const Frame frame = moving.render(moments, *renderer);
       attributes["command"] = options.command;
       attributes["framesPerSecond"] = std::to_string(scene.fps);
       if (const std::size_t clamped = writeFrame(result.file, frame, attributes)) {
@@ -213,7 +268,7 @@ ExplainedFrame explainPixel(const Scene& scene, const AnimationOptions& options,
   deformed.deform(scene.deformation.at(frame), vertices ? &*vertices : nullptr);
   const std::optional<ReflectanceFit> fit = guidingFit(scene, srf, result.field, result.model);
   FrameRenderer renderer(srf, result.field, result.model, frameSettings(scene, fit, options.memory_bytes), reporter);
-  result.pixel = renderer.explain(camera, deformed, result.lights, x, y);
+  result.pixel = renderer.explain(camera, deformed, result.lights, x, y, effectsAt(scene.effects, frame));
   result.positions = deformed.positions();
   result.tangents = deformed.tangents();
   return result;

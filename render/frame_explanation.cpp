@@ -22,12 +22,12 @@ std::vector<LightEntry> nonzero(const float* vector, int count) {
 }  // namespace
 
 PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const DeformedModel& deformed,
-                                        const FrameLights& lights, int x, int y) {
+                                        const FrameLights& lights, int x, int y, const FrameEffects& effects) {
   State& s = *state_;
   SRF_CHECK(x >= 0 && y >= 0 && x < camera.lens.width && y < camera.lens.height);
-  const FramePlan plan(s, camera, deformed, lights);
+  const FramePlan plan(s, camera, deformed, lights, effects);
   PixelRays rays;
-  rays.add(camera, plan.pattern, x, y);
+  rays.add(camera, plan.lens, plan.pattern, x, y);
   PixelBlock block;
   PixelExplanation result;
   result.samples = static_cast<int>(plan.pattern.size());
@@ -42,8 +42,10 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
     if (!block.guided.empty()) result.hits[t].guided = block.guided[t];
     result.hits[t].color = colors[t];
     for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
-    sum[3] += 1;
+    sum[3] += block.alpha.empty() ? 1 : block.alpha[t];
   }
+  for (const GroundSample& sample : block.ground)
+    for (int c = 0; c < 4; ++c) sum[c] += sample.rgba[c];
   std::size_t not_finite = 0;
   for (int c = 0; c < 4; ++c) result.rgba[c] = pixelValue(sum[c], plan.pattern.size(), not_finite);
 

@@ -53,6 +53,10 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   std::vector<SurfaceHit> hits(rays.size());
   deformed.intersect(rays, hits);  // M10
   lap(kTrace);
+  if (plan.ground) {
+    out.ground_rays = plan.ground->shade(rays, pixels, width, hits, out.ground);
+    lap(kGround);
+  }
 
   std::vector<std::size_t> met;
   std::vector<LookUp> look_ups;
@@ -70,7 +74,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     const SurfaceHit& hit = hits[met[m]];
     const LookUp& look_up = look_ups[m];
     ViewQuery query{look_up.p, look_up.acquisition_from_object * -rays[met[m]].direction, look_up.normal};  // v = L v*
-    if (!camera.lens.isOrthographic()) query.eye_distance = distance(camera.center(), hit.p_star);
+    if (!camera.lens.isOrthographic()) query.eye_distance = distance(rays[met[m]].origin, hit.p_star);
     query.points = {hit.point, static_cast<std::size_t>(hit.count)};
     query.point_weights = {hit.weight, static_cast<std::size_t>(hit.count)};
     queries.push_back(query);
@@ -81,6 +85,14 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   for (std::size_t m = 0; m < met.size(); ++m)
     levels->apply(camera, static_cast<double>(plan.pattern.size()), hits[met[m]], look_ups[m], queries[m].view,
                   std::span(chosen.views).subspan(chosen.first[m], chosen.first[m + 1] - chosen.first[m]));
+  if (settings.matte) {
+    // Each view counts as far as it is covered: what the views add up to is then premultiplied by their coverage.
+    for (std::size_t m = 0; m < met.size(); ++m) {
+      double& alpha = out.alpha.emplace_back(0);
+      for (std::uint32_t i = chosen.first[m]; i < chosen.first[m + 1]; ++i)
+        alpha += chosen.views[i].weight *= chosen.views[i].fetch.alpha;
+    }
+  }
 
   std::vector<std::pair<std::uint32_t, std::uint32_t>> handles;  // (list, light weights) of the hit
   std::vector<std::pair<std::uint32_t, std::uint32_t>> wanted;   // (position in met, list) by handle, weighed below

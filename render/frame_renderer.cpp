@@ -92,7 +92,7 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
   std::vector<const ReflectanceStore*> opened;
   const Box<AcquisitionSpace> box = model.bounds();
   for (const StoredView& view : manifest.views) {
-    SourceView source{view.camera, {}, nullptr, view.black_background};
+    SourceView source{view.camera, {}, nullptr, view.black_background, settings.matte};
     stores.push_back(nullptr);
     if (!view.file.empty()) {
       const std::filesystem::path file = srf_folder / view.file;
@@ -129,15 +129,19 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
 }
 
 FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& frame_camera,
-                     const DeformedModel& deformed_model, const FrameLights& frame_lights)
+                     const DeformedModel& deformed_model, const FrameLights& frame_lights, const FrameEffects& effects)
     : camera(frame_camera),
       deformed(deformed_model),
+      lens(effects.lens),
       pattern(samplePattern(samplesOf(state.settings, frame_camera, deformed_model))),
-      cover(frame_camera, deformed_model),
+      cover(effects.lens || effects.ground ? ScreenCover() : ScreenCover(frame_camera, deformed_model)),
       lighting(frame_lights, state.lists, lightingOptions(state, deformed_model, frame_lights)) {
   for (std::size_t v = 0; v < state.stores.size(); ++v)
     allowed.push_back(state.stores[v] && lighting.serves(state.list_of_view[v]));
   state.shared.prepare(lighting);
+  if (effects.ground)
+    ground.emplace(*effects.ground, frame_lights, deformed_model,
+                   GroundShading::Options{state.settings.accuracy.shadow_rays, lighting.options().min_distance});
   if (!state.settings.fit) return;
   const bool at_rest = state.settings.shadows == Shadows::captured;
   if (at_rest && !state.rest) state.rest.emplace(deformed.model());
@@ -157,7 +161,7 @@ FrameRenderer::FrameRenderer(const std::filesystem::path& srf_folder, const SrfM
 FrameRenderer::~FrameRenderer() = default;
 
 Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedModel& deformed,
-                            const FrameLights& lights) {
+                            const FrameLights& lights, const FrameEffects& effects) {
   State& s = *state_;
   const int width = camera.lens.width, height = camera.lens.height;
   auto clock = Clock::now();
@@ -166,7 +170,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     clock = Clock::now();
   };
 
-  const FramePlan plan(s, camera, deformed, lights);
+  const FramePlan plan(s, camera, deformed, lights, effects);
   lap("weights");
 
   // Double sums: with many samples a float would lose digits.
@@ -191,7 +195,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       batch.resize(first + count);
       parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i)
-          s.gather(plan, raysOfBlock(camera, plan.pattern, plan.cover, next + static_cast<int>(i)), batch[first + i],
+          s.gather(plan, raysOfBlock(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i)), batch[first + i],
                    layers.wanted() ? &layers : nullptr, nullptr);
       });
       std::array<double, kGatherStages.size()> spent{};
@@ -226,12 +230,15 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
         for (std::size_t t = 0; t < colors.size(); ++t) {
           auto& sum = sums[batch[b].pixel[t]];
           for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
-          sum[3] += 1;
+          sum[3] += batch[b].alpha.empty() ? 1 : batch[b].alpha[t];
         }
+        for (const GroundSample& sample : batch[b].ground)
+          for (int c = 0; c < 4; ++c) sums[sample.pixel][c] += sample.rgba[c];
       }
     });
     lap("resolve");
-    std::uint64_t collapsed = 0, not_seen = 0, no_view = 0, shadow_rays = 0, model_values = 0;
+    std::uint64_t collapsed = 0, not_seen = 0, no_view = 0, shadow_rays = 0, model_values = 0, ground_rays = 0,
+                  ground_samples = 0;
     for (std::size_t b = 0; b < batch.size(); ++b) {
       hit_count += shading[b].targets;
       operation_count += shading[b].operations.size();
@@ -239,12 +246,16 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       collapsed += batch[b].collapsed;
       not_seen += batch[b].not_seen;
       no_view += batch[b].no_view;
+      ground_rays += batch[b].ground_rays;
+      ground_samples += batch[b].ground.size();
       shadow_rays += batch[b].shadow_rays;
       model_values += batch[b].model_values;
     }
     if (collapsed) s.reporter.count("frame.collapsed", collapsed);
     if (not_seen) s.reporter.count("hits.no_visible_view", not_seen);
     if (no_view) s.reporter.count("hits.no_view", no_view);
+    if (ground_rays) s.reporter.count("ground.shadow_rays", ground_rays);
+    if (ground_samples) s.reporter.count("ground.samples", ground_samples);
     if (shadow_rays) s.reporter.count("shadow_rays", shadow_rays);
     if (model_values) s.reporter.count("model_values", model_values);
   }

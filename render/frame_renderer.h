@@ -17,6 +17,7 @@
 #include "model/deformed_model.h"
 #include "model/reflectance_fit.h"
 #include "render/deferred_shading.h"
+#include "render/effects.h"
 #include "render/frame_layers.h"
 #include "render/light_set.h"
 #include "render/pixel_explanation.h"
@@ -32,6 +33,7 @@ struct FrameSettings {
   Accuracy accuracy;
   const ReflectanceFit* fit = nullptr;  ///< guides the interpolation; none: plain. Must outlive the renderer
   Shadows shadows = Shadows::captured;  ///< of guided interpolation
+  bool matte = false;                   ///< alpha from the coverage of the photographs' masks
   bool model_alone = false;             ///< what the fit would show without the photographs: for studies
   /// Per pixel, a regular or stratified pattern (deterministic); more where surfels are smaller than a pixel, up to 64.
   int samples = 1;
@@ -50,10 +52,11 @@ class FrameRenderer {
                 const FrameSettings& settings, Reporter& reporter);
   ~FrameRenderer();
   /// Same input, same bits, for any thread count and memory budget.
-  Frame render(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLights& lights);
+  Frame render(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLights& lights,
+               const FrameEffects& effects = {});
   /// How pixel (x, y) of that picture comes about. x, y must lie in the picture.
   PixelExplanation explain(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLights& lights,
-                           int x, int y);
+                           int x, int y, const FrameEffects& effects = {});
 
   struct State;  ///< render/frame_state.h
 

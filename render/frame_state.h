@@ -9,6 +9,7 @@
 #include "render/deferred_shading.h"
 #include "render/frame_layers.h"
 #include "render/frame_renderer.h"
+#include "render/ground.h"
 #include "render/guided_interpolation.h"
 #include "render/level_choice.h"
 #include "render/light_weights.h"
@@ -22,8 +23,9 @@ namespace srf {
 struct FramePlan;
 
 /// What a block of pixels goes through before its operations are executed.
-enum GatherStage { kTrace, kLookUp, kViews, kShadows, kWeights, kSort };
-constexpr std::array<const char*, 6> kGatherStages{"trace", "look_up", "views", "shadows", "weights", "sort"};
+enum GatherStage { kTrace, kGround, kLookUp, kViews, kShadows, kWeights, kSort };
+constexpr std::array<const char*, 7> kGatherStages{"trace", "ground", "look_up", "views",
+                                                   "shadows", "weights", "sort"};
 
 /// One block of pixels on its way.
 struct PixelBlock {
@@ -31,12 +33,15 @@ struct PixelBlock {
   std::vector<std::uint32_t> pixel;           ///< of each target
   std::vector<std::array<double, 3>> guided;  ///< of each target: what the model gives and takes; empty: plain
   std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
-  std::uint64_t shadow_rays = 0, model_values = 0;
+  std::vector<GroundSample> ground;  ///< where a ground is asked for
+  std::vector<double> alpha;         ///< of each target, where a matte is asked for; else each is 1
+  std::uint64_t shadow_rays = 0, model_values = 0, ground_rays = 0;
   std::array<double, kGatherStages.size()> seconds{};  ///< of each of them
 
   std::size_t bytes() const {
     return shading.operations.capacity() * (sizeof(ShadingOperation) + sizeof(Rgb)) + shading.lights.bytes() +
-           pixel.capacity() * sizeof(std::uint32_t) + guided.capacity() * sizeof(guided.front());
+           pixel.capacity() * sizeof(std::uint32_t) + guided.capacity() * sizeof(guided.front()) +
+           ground.capacity() * sizeof(GroundSample);
   }
 };
 
@@ -81,16 +86,18 @@ struct FrameRenderer::State {
 /// the samples of a pixel lie. Everything named must outlive it.
 struct FramePlan {
   FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& frame_camera, const DeformedModel& deformed_model,
-            const FrameLights& frame_lights);
+            const FrameLights& frame_lights, const FrameEffects& effects);
   FramePlan(const FramePlan&) = delete;
   FramePlan& operator=(const FramePlan&) = delete;
 
   const Camera<ObjectSpace>& camera;
   const DeformedModel& deformed;
-  std::vector<Vec2> pattern;  ///< samples of a pixel
+  std::optional<ThinLens> lens;  ///< none: a pinhole
+  std::vector<Vec2> pattern;     ///< samples of a pixel
   ScreenCover cover;
   FrameLighting lighting;
   std::optional<GuidedLighting> guided;  ///< none where nothing guides
+  std::optional<GroundShading> ground;   ///< none where none is asked for
   std::vector<std::uint8_t> allowed;     ///< of each view: whether it can show the frame's lights
 };
 

@@ -20,10 +20,12 @@ std::vector<Vec2> samplePattern(int samples) {
   return pattern;
 }
 
-void PixelRays::add(const Camera<ObjectSpace>& camera, std::span<const Vec2> pattern, int x, int y) {
-  for (const Vec2& at : pattern)
-    if (const auto ray = camera.ray({x + at.x, y + at.y})) {
-      rays.push_back(*ray);
+void PixelRays::add(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens,
+                    std::span<const Vec2> pattern, int x, int y) {
+  const int samples = static_cast<int>(pattern.size());
+  for (int i = 0; i < samples; ++i)
+    if (const auto ray = camera.ray({x + pattern[i].x, y + pattern[i].y})) {
+      rays.push_back(lens ? throughLens(*lens, camera, *ray, x, y, i, samples) : *ray);
       pixel.push_back(static_cast<std::uint32_t>(y * camera.lens.width + x));
     }
 }
@@ -33,8 +35,8 @@ int pixelBlocks(const Camera<ObjectSpace>& camera) {
   return along(camera.lens.width) * along(camera.lens.height);
 }
 
-PixelRays raysOfBlock(const Camera<ObjectSpace>& camera, std::span<const Vec2> pattern, const ScreenCover& cover,
-                      int block) {
+PixelRays raysOfBlock(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens,
+                      std::span<const Vec2> pattern, const ScreenCover& cover, int block) {
   const int width = camera.lens.width, height = camera.lens.height;
   const int blocks_x = (width + kPixelBlock - 1) / kPixelBlock;
   const int x0 = block % blocks_x * kPixelBlock, y0 = block / blocks_x * kPixelBlock;
@@ -43,7 +45,7 @@ PixelRays raysOfBlock(const Camera<ObjectSpace>& camera, std::span<const Vec2> p
   result.pixel.reserve(kPixelBlock * kPixelBlock * pattern.size());
   for (int y = y0; y < std::min(height, y0 + kPixelBlock); ++y)
     for (int x = x0; x < std::min(width, x0 + kPixelBlock); ++x)
-      if (cover.covers(x, y)) result.add(camera, pattern, x, y);
+      if (cover.covers(x, y)) result.add(camera, lens, pattern, x, y);
   return result;
 }
 

@@ -2,11 +2,13 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "base/camera.h"
 #include "render/screen_cover.h"
+#include "render/thin_lens.h"
 
 namespace srf {
 
@@ -21,13 +23,14 @@ struct PixelRays {
   std::vector<std::uint32_t> pixel;  ///< of each ray: y * width + x
 
   /// Adds the rays of pixel (x, y), one for each place of the pattern that the lens has a ray for.
-  void add(const Camera<ObjectSpace>& camera, std::span<const Vec2> pattern, int x, int y);
+  void add(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens, std::span<const Vec2> pattern, int x,
+           int y);
 };
 
 /// Blocks of a picture, row by row.
 int pixelBlocks(const Camera<ObjectSpace>& camera);
 /// Pixels that the cover leaves out get no rays.
-PixelRays raysOfBlock(const Camera<ObjectSpace>& camera, std::span<const Vec2> pattern, const ScreenCover& cover,
-                      int block);
+PixelRays raysOfBlock(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens,
+                      std::span<const Vec2> pattern, const ScreenCover& cover, int block);
 
 }  // namespace srf

@@ -12,6 +12,7 @@ namespace srf {
 namespace {
 
 constexpr int kMostFrames = 1000000;
+constexpr double kLeastLength = 1e-30, kMostLength = 1e30;  // units
 
 std::string numberText(double x) {
   char text[32];
@@ -43,6 +44,13 @@ Animated<Vec3> readDirection(const JsonNode& node) {
     keys[i].second = unit->raw();
   }
   return {std::move(keys), value.interpolation()};
+}
+
+/// An animated number whose keys all lie from `least` to `most`.
+Animated<double> readNumberWithin(const JsonNode& node, double least, double most) {
+  Animated<double> value = readAnimatedNumber(node);
+  for (std::size_t i = 0; i < value.keys().size(); ++i) numberWithin(keyNode(node, i), least, most);
+  return value;
 }
 
 Animated<double> numberOr(const JsonNode& parent, std::string_view key, double otherwise) {
@@ -127,14 +135,36 @@ Accuracy readAccuracy(const JsonNode& node) {
 
 void readEffects(const JsonNode& node, Scene& scene) {
   node.onlyKeys({"shadows", "matte", "ground", "motion_blur", "depth_of_field"});
-  for (const auto& [key, value] : node.raw().items()) {
-    if (key != "shadows") throw node[key].error("is not available in this version; the one effect is \"shadows\"");
+  if (const auto shadows = node.find("shadows")) {
     constexpr Shadows kShadows[] = {Shadows::captured, Shadows::deformed, Shadows::off};
-    scene.shadows = kShadows[node[key].choice({"captured", "deformed", "off"})];
+    scene.shadows = kShadows[shadows->choice({"captured", "deformed", "off"})];
     if (scene.interpolation == Interpolation::plain && scene.shadows != Shadows::captured)
-      throw node[key].error(
+      throw shadows->error(
           "asks for shadows by rays, which plain interpolation does not have: it shows the photographs' own "
           "(\"captured\"); use \"interpolation\": \"guided\"");
+  }
+  Effects& effects = scene.effects;
+  if (const auto matte = node.find("matte")) effects.matte = matte->boolean();
+  if (const auto ground = node.find("ground")) {
+    ground->onlyKeys({"height", "shadow_only", "albedo"});
+    effects.ground.emplace().height = readAnimatedNumber((*ground)["height"]);
+    if (const auto shadow_only = ground->find("shadow_only")) effects.ground->shadow_only = shadow_only->boolean();
+    if (const auto albedo = ground->find("albedo")) {
+      effects.ground->albedo = readAnimatedVec3(*albedo);
+      for (std::size_t i = 0; i < effects.ground->albedo.keys().size(); ++i)
+        for (int c = 0; c < 3; ++c) numberWithin(keyNode(*albedo, i).at(c), 0, 1);
+    }
+  }
+  if (const auto blur = node.find("motion_blur")) {
+    blur->onlyKeys({"shutter", "samples"});
+    effects.motion_blur.emplace().shutter = readNumberWithin((*blur)["shutter"], 0, kMostFrames);
+    if (const auto samples = blur->find("samples"))
+      effects.motion_blur->samples = static_cast<int>(samples->integer(1, 1024));
+  }
+  if (const auto lens = node.find("depth_of_field")) {
+    lens->onlyKeys({"aperture", "focus"});
+    effects.depth_of_field = DepthOfField{readNumberWithin((*lens)["aperture"], 0, kMostLength),
+                                          readNumberWithin((*lens)["focus"], kLeastLength, kMostLength)};
   }
 }
 

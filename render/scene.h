@@ -12,6 +12,7 @@
 #include "base/camera.h"
 #include "model/deformation.h"
 #include "model/local_frame.h"
+#include "render/effects.h"
 #include "render/gltf_scene.h"
 
 namespace srf {
@@ -78,6 +79,7 @@ struct Scene {
   int samples = 1;     ///< per pixel
   Interpolation interpolation = Interpolation::automatic;
   Shadows shadows = Shadows::automatic;
+  Effects effects;
   Accuracy accuracy;
   std::uint64_t content_hash = 0;  ///< of the file's keys that a picture depends on (all but srf, frames, output), and
                                    ///< of the glTF files of its camera and lights

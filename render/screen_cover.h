@@ -13,6 +13,7 @@ namespace srf {
 /// covers everything where nothing is known (surfels; triangles that reach behind the camera).
 class ScreenCover {
  public:
+  ScreenCover() = default;  ///< covers everything
   ScreenCover(const Camera<ObjectSpace>& camera, const DeformedModel& deformed);
   bool covers(int x, int y) const { return all_ || cells_[static_cast<std::size_t>(y / kCell) * across_ + x / kCell]; }
 

@@ -54,6 +54,7 @@ double ViewSelection::covered(std::uint32_t view, const Vec2& pixel, bool& whole
     whole = (coverage.at(x, y) & coverage.at(x + 1, y) & coverage.at(x, y + 1) & coverage.at(x + 1, y + 1)) == 255;
     if (whole) return inside;
   }
+  if (source.matte) return inside;  // where it covers p a little, its coverage is the answer
   return inside * bilinearFetch(source, pixel).covered;
 }
 
