@@ -160,8 +160,8 @@ FrameRenderer::FrameRenderer(const std::filesystem::path& srf_folder, const SrfM
     : state_(std::make_unique<State>(srf_folder, manifest, model, settings, reporter)) {}
 FrameRenderer::~FrameRenderer() = default;
 
-Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedModel& deformed,
-                            const FrameLights& lights, const FrameEffects& effects) {
+Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedModel& deformed, const FrameLights& lights,
+                            const FrameEffects& effects) {
   State& s = *state_;
   const int width = camera.lens.width, height = camera.lens.height;
   auto clock = Clock::now();
@@ -195,8 +195,8 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       batch.resize(first + count);
       parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i)
-          s.gather(plan, raysOfBlock(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i)), batch[first + i],
-                   layers.wanted() ? &layers : nullptr, nullptr);
+          s.gather(plan, raysOfBlock(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i)),
+                   batch[first + i], layers.wanted() ? &layers : nullptr, nullptr);
       });
       std::array<double, kGatherStages.size()> spent{};
       for (std::size_t i = first; i < batch.size(); ++i) {

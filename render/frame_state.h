@@ -24,8 +24,7 @@ struct FramePlan;
 
 /// What a block of pixels goes through before its operations are executed.
 enum GatherStage { kTrace, kGround, kLookUp, kViews, kShadows, kWeights, kSort };
-constexpr std::array<const char*, 7> kGatherStages{"trace", "ground", "look_up", "views",
-                                                   "shadows", "weights", "sort"};
+constexpr std::array<const char*, 7> kGatherStages{"trace", "ground", "look_up", "views", "shadows", "weights", "sort"};
 
 /// One block of pixels on its way.
 struct PixelBlock {

@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include <chrono>
+#include <cmath>
 #include <fstream>
 #include <limits>
 #include <nlohmann/json.hpp>
@@ -29,7 +30,8 @@ namespace fs = std::filesystem;
 using Words = std::vector<std::string>;
 
 const std::string kSrf = std::string(SRF_PROGRAMS) + "/srf";
-const Words kCommands{"synth", "calibrate", "check", "acquire", "model", "render", "explain", "pipeline", "info", "compare"};
+const Words kCommands{"synth",  "calibrate", "check",    "acquire", "model",
+                      "render", "explain",   "pipeline", "info",    "compare"};
 
 struct Outcome {
   int code = -1;  ///< 128 + signal where one ended it
@@ -535,6 +537,70 @@ TEST(Pipeline, ToleranceLetsAWrongViewBeOverruledAndCarvesAgain) {
   };
   const double strict = hullVolume("0");
   EXPECT_GT(hullVolume("1"), 1.01 * strict);  // the largest shape that all but any one view allow
+}
+
+// ---- Effects -------------------------------------------------------------------------------------------------------
+
+// Each effect against the exact reference with the same effect on, which renders it by other means.
+TEST(Effects, ComeOutAsInTheExactReference) {
+  test::TemporaryFolder folder;
+  const fs::path capture = folder / "capture", field = folder / "x.srf", file = folder / "scene.json";
+  ASSERT_EQ(run({"synth", "-o", capture, "--views", "24", "--lights", "64", "--size", "64"}).code, 0);
+  ASSERT_EQ(run({"acquire", capture, "-o", field}).code, 0);
+  ASSERT_EQ(run({"model", field, "--shape", capture / "model.ply"}).code, 0);
+  Json scene = sample().sceneJson();
+  scene["srf"] = field.string();
+  scene["frames"] = "4";
+  scene["camera"]["w"] = 64, scene["camera"]["h"] = 48;
+  scene["camera"]["look_at"]["eye"] = {{"keys", {{0, {-0.8, -4, 1.2}}, {8, {0.8, -4, 1.2}}}}};
+  scene["deformation"][0]["degrees_per_unit"] = {{"keys", {{0, 0}, {8, 80}}}};
+  const auto psnr = [&](const Json& effects, const char* what) {
+    scene["effects"] = effects;
+    writeJsonFile(file, scene);
+    const Outcome ours = run({"render", file, "-o", folder / "ours.####.exr", "--set", "/samples=64"});
+    const Outcome truth =
+        run({"synth", "--reference", file, "--capture", capture, "--samples", "100", "-o", folder / "truth.####.exr"});
+    EXPECT_EQ(ours.code + truth.code, 0) << ours.err << truth.err;
+    const Outcome compared = run({"compare", folder / "ours.0004.exr", folder / "truth.0004.exr", "--json"});
+    EXPECT_EQ(compared.code, 0) << compared.err;
+    const double db = Json::parse(compared.out)["full"]["psnr"].get<double>();
+    std::printf("%-16s %.1f dB\n", what, db);
+    return db;
+  };
+  EXPECT_GT(psnr(Json::object(), "none"), 35);
+  EXPECT_GT(psnr({{"shadows", "deformed"}}, "shadows"), 35);
+  EXPECT_GT(psnr({{"motion_blur", {{"shutter", 2}, {"samples", 12}}}}, "motion blur"), 35);
+  EXPECT_GT(psnr({{"depth_of_field", {{"aperture", 0.3}, {"focus", 3.4}}}}, "depth of field"), 35);
+  EXPECT_GT(psnr({{"ground", {{"height", -1}}}}, "ground"), 35);
+}
+
+// At a captured view the alpha is that of its mask, half covered pixels and all; without the effect it is the model's.
+TEST(Effects, MatteIsThatOfThePhotograph) {
+  test::TemporaryFolder folder;
+  const Json transforms = readJsonFile(sample().capture / "transforms.json").raw();
+  const Json& shot = transforms["frames"][0];
+  Json scene = sample().sceneJson();
+  scene.erase("deformation");
+  scene["frames"] = 0;
+  scene["camera"] = {{"transform_matrix", shot["transform_matrix"]}};
+  for (const char* key : {"w", "h", "fl_x", "fl_y", "cx", "cy"})
+    scene["camera"][key] = shot.contains(key) ? shot[key] : transforms[key];
+  scene["interpolation"] = "plain";
+  const LoadedImage mask = readImage(sample().capture / shot["mask_path"].get<std::string>(), Transfer::linear);
+  const auto worst = [&](bool matte) {
+    scene["effects"]["matte"] = matte;
+    writeJsonFile(folder / "scene.json", scene);
+    EXPECT_EQ(run({"render", folder / "scene.json", "-o", folder / "f.####.exr"}).code, 0);
+    const ImageF alpha = readExrChannels(folder / "f.0000.exr").at("A");
+    double most = 0;
+    for (int y = 0; y < alpha.height(); ++y)
+      for (int x = 0; x < alpha.width(); ++x)
+        if (alpha.at(x, y) > 0)  // where the hull is met at all
+          most = std::max(most, std::fabs(double{alpha.at(x, y)} - mask.pixels.at(x, y)));
+    return most;
+  };
+  EXPECT_LT(worst(true), 0.01);
+  EXPECT_GT(worst(false), 0.2);
 }
 
 // ---- Papers --------------------------------------------------------------------------------------------------------

@@ -102,7 +102,14 @@ TEST_F(SceneTest, RefusalsNameThePlaceAndTheMend) {
   EXPECT_REFUSED(refusal(both + R"(, "interpolation": "guide")"), "/interpolation", "'guided'");
   EXPECT_REFUSED(refusal(both + R"(, "interpolation": "plain", "effects": {"shadows": "deformed"})"),
                  "/effects/shadows", "plain interpolation", "\"guided\"");
-  EXPECT_REFUSED(refusal(both + R"(, "effects": {"matte": true})"), "/effects/matte", "not available");
+  EXPECT_REFUSED(refusal(both + R"(, "effects": {"matte": 1})"), "/effects/matte", "true or false");
+  EXPECT_REFUSED(refusal(both + R"(, "effects": {"ground": {}})"), "/effects/ground", "'height'");
+  EXPECT_REFUSED(refusal(both + R"(, "effects": {"ground": {"height": 0, "albedo": [0, 2, 0]}})"),
+                 "/effects/ground/albedo/1", "from 0 to 1");
+  EXPECT_REFUSED(refusal(both + R"(, "effects": {"motion_blur": {"shutter": -1}})"), "/effects/motion_blur/shutter",
+                 "from 0");
+  EXPECT_REFUSED(refusal(both + R"(, "effects": {"depth_of_field": {"aperture": 1}})"), "/effects/depth_of_field",
+                 "'focus'");
   EXPECT_REFUSED(refusal(both + R"(, "effects": {"mate": true})"), "/effects/mate", "'matte'");
   EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"shadow_rays": -1})"), "/accuracy/shadow_rays", "from 0");
   EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"views": 0})"), "/accuracy/views", "from 1");
