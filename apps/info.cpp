@@ -8,6 +8,7 @@
 #include <set>
 
 #include "acquire/camera_import.h"
+#include "apps/fit_pictures.h"
 #include "apps/program.h"
 #include "base/image_io.h"
 #include "base/mesh_io.h"
@@ -94,7 +95,8 @@ Json compressionInfo(const fs::path& folder, const SrfManifest& field) {
   return info;
 }
 
-Json srfInfo(const fs::path& folder) {
+/// `pictures`: where those of the fit go; empty: none.
+Json srfInfo(const fs::path& folder, const fs::path& pictures) {
   const SrfManifest field = readManifest(folder);
   Json info;
   info["type"] = "srf";
@@ -140,7 +142,15 @@ Json srfInfo(const fs::path& folder) {
                             {"points", model.size()},
                             {"triangles", model.triangles.size()},
                             {"positional_error", model.positional_error}};
+    const std::optional<ReflectanceFit> fit = loadFit(folder, field, model);
+    if (fit) {
+      info["fit"] = fitInfo(*fit);
+      info["fit"]["bytes"] = fs::file_size(folder / field.fit(field.active_model)->file);
+    }
+    if (fit && !pictures.empty()) info["fit"]["pictures"] = writeFitPictures(field, model, *fit, pictures);
   }
+  if (!pictures.empty() && !info.contains("fit"))
+    throw badInput(folder.string(), "has no fitted reflectance model to show; run srf model, or leave --pictures out");
   return info;
 }
 
@@ -243,10 +253,10 @@ Json imageInfo(const fs::path& file) {
   return info;
 }
 
-Json describe(const fs::path& path, Reporter& reporter) {
+Json describe(const fs::path& path, const fs::path& pictures, Reporter& reporter) {
   if (!fs::exists(path)) throw badInput(path.string(), "does not exist; check the path");
   if (fs::is_directory(path)) {
-    if (fs::exists(path / "manifest.json")) return srfInfo(path);
+    if (fs::exists(path / "manifest.json")) return srfInfo(path, pictures);
     return captureInfo(openCapture(path, reporter));
   }
   const std::string suffix = path.extension().string();
@@ -306,12 +316,15 @@ void print(const Json& info, int indent) {
 int main(int argc, char** argv) {
   srf::Program program("info",
                        "Says what a file or folder holds: a field (X.srf), a capture, a scene, a picture, a mesh.");
-  std::string path;
+  std::string path, pictures;
   bool as_json = false;
   program.app().add_option("path", path, "file or folder")->required();
   program.app().add_flag("--json", as_json, "print JSON");
+  program.app().add_option("--pictures", pictures,
+                           "of a field: folder for pictures of the fitted reflectance model (gate, roughness, normal, "
+                           "base_color ..) from the first camera");
   return program.run(argc, argv, [&](srf::Reporter& reporter) {
-    const srf::Json info = srf::describe(path, reporter);
+    const srf::Json info = srf::describe(path, pictures, reporter);
     if (as_json)
       std::printf("%s\n", info.dump(1, ' ', false, srf::Json::error_handler_t::replace).c_str());
     else

@@ -4,6 +4,8 @@
 
 #include "apps/make_model.h"
 #include "apps/program.h"
+#include "base/error.h"
+#include "model/fit_export.h"
 #include "model/gltf_export.h"
 #include "model/surfel_file.h"
 
@@ -36,7 +38,7 @@ void printSummary(const DeformableModel& model) {
 int main(int argc, char** argv) {
   using namespace srf;
   Program program("model", "Makes the model inside an SRF", "GPL-3.0-or-later (links CGAL)");
-  std::string srf_folder, kind = "mesh", shape = "hull", name, fit = "auto", export_file, surfel_file;
+  std::string srf_folder, kind = "mesh", shape = "hull", name, fit = "auto", export_file, surfel_file, parameter_file;
   ModelOptions options;
   CLI::App& app = program.app();
   app.add_option("SRF", srf_folder, "the field, X.srf")->required();
@@ -63,6 +65,10 @@ int main(int argc, char** argv) {
   app.add_option("--export-surfels", surfel_file,
                  "write the surfels as a point cloud, FILE.ply, with normals and radii; with no other option, those of "
                  "the model which is there");
+  app.add_option(
+      "--export-parameters", parameter_file,
+      "write the fitted reflectance of every point, FILE.ply (columns) or FILE.glb (material); with no other "
+      "option, that of the model which is there");
   return program.run(argc, argv, [&](Reporter& reporter) {
     options.kind = kind == "mesh" ? ModelKind::mesh : ModelKind::surfels;
     const bool asked = app.count("--kind") + app.count("--shape") + app.count("--surfels") +
@@ -70,11 +76,17 @@ int main(int argc, char** argv) {
                        0;
     std::optional<FitOptions> fitting;
     if (fit == "auto") fitting = FitOptions{program.memoryBudget()};
-    const DeformableModel model = (export_file.empty() && surfel_file.empty()) || asked
+    const DeformableModel model = (export_file.empty() && surfel_file.empty() && parameter_file.empty()) || asked
                                       ? makeModel(srf_folder, shape, options, fitting, reporter, name)
                                       : loadModel(srf_folder, readManifest(srf_folder));
     printSummary(model);
     if (!export_file.empty()) exportRestMesh(model.restMesh(), export_file);
     if (!surfel_file.empty()) writeSurfels(surfel_file, model);
+    if (!parameter_file.empty()) {
+      const auto fit = loadFit(srf_folder, readManifest(srf_folder), model);
+      if (!fit)
+        throw badInput(srf_folder, "has no fitted reflectance model to export (--fit off, or too few known lights)");
+      exportFit(model, *fit, parameter_file);
+    }
   });
 }

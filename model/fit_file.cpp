@@ -21,7 +21,7 @@ namespace srf {
 namespace {
 
 constexpr char kMagic[8] = {'S', 'R', 'F', 'F', 'I', 'T', 0, 0};
-constexpr std::uint32_t kVersion = 1;
+constexpr std::uint32_t kVersion = 2;
 constexpr std::size_t kPrefix = sizeof kMagic + 2 * sizeof(std::uint32_t);
 constexpr std::size_t kMostRoughnesses = 256;
 
@@ -31,7 +31,7 @@ struct Record {
   std::uint16_t tangent;                      ///< angle from anyPerpendicular(normal), 65536 to the half turn
   std::uint8_t roughness;                     ///< position in the header's list
   std::uint8_t gate, indirect;                ///< 0 .. 255
-  std::uint8_t reserved;                      ///< 0
+  std::uint8_t indirect_shadow;
 };
 static_assert(sizeof(Record) == 34);
 
@@ -83,6 +83,7 @@ Record pack(const FittedPoint& point, std::uint8_t roughness) {
   record.roughness = roughness;
   record.gate = byte(point.gate);
   record.indirect = byte(point.indirect);
+  record.indirect_shadow = byte(point.indirect_shadow);
   return record;
 }
 
@@ -98,6 +99,7 @@ FittedPoint unpack(const Record& record, const std::vector<std::array<float, 2>>
   r.alpha_x = roughnesses[record.roughness][0], r.alpha_y = roughnesses[record.roughness][1];
   point.gate = static_cast<float>(record.gate) / 255;
   point.indirect = static_cast<float>(record.indirect) / 255;
+  point.indirect_shadow = static_cast<float>(record.indirect_shadow) / 255;
   return point;
 }
 

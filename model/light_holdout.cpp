@@ -12,6 +12,8 @@ namespace {
 constexpr int kPlainLights = 4, kLitLights = 3;
 constexpr float kLowest = 0.08f;  // n.l of a light whose residual is used
 constexpr float kCosine = 0.1f, kMostRatio = 2;
+constexpr float kSurelyAverted = -0.1f;  // n.l of a light whose picture is no outline's
+constexpr float kMuchBetter = 0.7f;      // of the squared error
 const double kFadeFrom = radians(34), kFadeTo = radians(52);
 
 }  // namespace
@@ -123,7 +125,13 @@ HoldoutError LightHoldout::operator()(const FitInput& input, const PointSamples&
         indirect += w * (indirect_row_[x] - value[x]) * (indirect_row_[x] - value[x]);
         square += w * value[x] * value[x];
       }
-      error.plain += plain, error.lit += lit, error.indirect += indirect, error.square += square;
+      error.plain += plain, error.square += square;
+      HoldoutError::Part& part = is_lit ? error.in_light : error.in_shadow;
+      part.lit += lit, part.indirect += indirect;
+      if (is_lit || lights.cosine[i] < kSurelyAverted || lights.cosine[i] > 0) {
+        ++part.lights;
+        part.for_indirect += indirect < kMuchBetter * lit;
+      }
     }
   }
   return error;

@@ -9,10 +9,16 @@ namespace srf {
 
 /// Sums over the samples of a point, weighted by n.v.
 struct HoldoutError {
-  double plain = 0;     ///< squared error of the weights of M13
-  double lit = 0;       ///< of the model with the residual of the lights that light the point
-  double indirect = 0;  ///< of the model with the residual of all lights
-  double square = 0;    ///< of the samples
+  /// Under the lights that light the point, or those that do not.
+  struct Part {
+    double lit = 0;        ///< squared error of the model with the residual of the lights that light the point
+    double indirect = 0;   ///< of the model with the residual of all lights
+    int lights = 0;        ///< that are asked
+    int for_indirect = 0;  ///< of those, that the residual of all lights foretells much better
+  };
+  double plain = 0;  ///< squared error of the weights of M13
+  Part in_light, in_shadow;
+  double square = 0;  ///< of the samples
 };
 
 class LightHoldout {

@@ -22,6 +22,9 @@ constexpr std::size_t kSearchPoints = 900;   // that tell the roughness
 constexpr int kFewestSearchSamples = 24;     // lit ones, of such a point
 constexpr std::size_t kTangentPoints = 150;  // of those, that tell whether it depends on the tangent
 constexpr double kAnisotropyPays = 0.85;     // at most this share of the error is left
+constexpr int kMostMaterials = 3;            // of roughness of their own
+constexpr double kMaterialPays = 0.85;       // one more leaves at most this share of the error
+constexpr float kMaterialsApart = 1.5f;      // ratio of their roughnesses at least
 constexpr int kRounds = 3;                   // of robust weights
 constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
 
@@ -55,11 +58,8 @@ std::vector<SearchPoint> searchPoints(const FitInput& input, std::span<const Dir
 constexpr int kTangents = 8;  // angles that are tried for the direction of brushing
 
 // The tangent angle whose plain fit explains the samples best: the best of eight and the vertex of the parabola through
-// it and its neighbours; `point` has the frame.
-struct Tangent {
-  double angle, error;
-};
-Tangent findTangent(PointSamples& samples, const Direction<AcquisitionSpace>& normal, PointReflectance& point) {
+// it and its neighbours; `point` has the frame. Returns the error of the best of the eight.
+double findTangent(PointSamples& samples, const Direction<AcquisitionSpace>& normal, PointReflectance& point) {
   std::array<double, kTangents> error;
   for (int k = 0; k < kTangents; ++k) {
     setFrame(point, normal, k * kPi / kTangents);
@@ -71,11 +71,11 @@ Tangent findTangent(PointSamples& samples, const Direction<AcquisitionSpace>& no
   const double shift = bend > 0 ? std::clamp(0.5 * (before - after) / bend, -0.5, 0.5) : 0;
   const double angle = (best + shift) * kPi / kTangents;
   setFrame(point, normal, angle);
-  return {angle, error[best]};
+  return error[best];
 }
 
-// Mean over the points of the share of the samples that the model leaves unexplained.
-double searchError(std::span<SearchPoint> points, const Roughness& roughness) {
+// Of each point the share of its samples that the model leaves unexplained.
+std::vector<double> searchErrors(std::span<SearchPoint> points, const Roughness& roughness) {
   std::vector<double> errors(points.size(), 0);
   parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
@@ -85,10 +85,14 @@ double searchError(std::span<SearchPoint> points, const Roughness& roughness) {
         setFrame(tried, points[i].normal, 0);
         errors[i] = points[i].samples.fit(tried, 1);
       } else {
-        errors[i] = findTangent(points[i].samples, points[i].normal, tried).error;
+        errors[i] = findTangent(points[i].samples, points[i].normal, tried);
       }
     }
   });
+  return errors;
+}
+
+double mean(const std::vector<double>& errors) {
   return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(errors.size());
 }
 
@@ -99,14 +103,21 @@ Roughness clamped(double log_x, double log_y) {
 
 struct RoughnessSearch {
   Roughness best;
-  double error = std::numeric_limits<double>::infinity();
+  double error = std::numeric_limits<double>::infinity();  ///< mean over the points
+  struct Tried {
+    Roughness roughness;
+    std::vector<double> errors;  ///< of the points
+  };
+  std::vector<Tried> tried;
 
   /// Whether it is the best so far.
-  bool consider(std::span<SearchPoint> points, const Roughness& tried, Reporter& reporter) {
-    const double e = searchError(points, tried);
-    reporter.debug("fit: alpha " + std::to_string(tried.x) + " " + std::to_string(tried.y) + ": " + std::to_string(e));
+  bool consider(std::span<SearchPoint> points, const Roughness& roughness, Reporter& reporter) {
+    tried.push_back({roughness, searchErrors(points, roughness)});
+    const double e = mean(tried.back().errors);
+    reporter.debug("fit: alpha " + std::to_string(roughness.x) + " " + std::to_string(roughness.y) + ": " +
+                   std::to_string(e));
     if (!(e < error)) return false;
-    error = e, best = tried;
+    error = e, best = roughness;
     return true;
   }
 };
@@ -145,9 +156,82 @@ RoughnessSearch searchAnisotropic(std::span<SearchPoint> points, float alpha, Re
   return search;
 }
 
+/// Roughnesses of which each point has the one that explains it best.
+struct Materials {
+  std::vector<Roughness> roughness;
+  double error = 0;            ///< mean over the points
+  std::vector<double> errors;  ///< of the points
+};
+
+// The best `count` of the tried roughnesses together.
+Materials bestTogether(const RoughnessSearch& search, int count) {
+  const int candidates = static_cast<int>(search.tried.size());
+  Materials best;
+  best.error = std::numeric_limits<double>::infinity();
+  std::vector<int> chosen(count);
+  std::iota(chosen.begin(), chosen.end(), 0);
+  const auto apart = [&] {
+    for (int k = 0; k < count; ++k)
+      for (int j = 0; j < k; ++j) {
+        const float a = search.tried[chosen[k]].roughness.x, b = search.tried[chosen[j]].roughness.x;
+        if (!(std::max(a, b) > kMaterialsApart * std::min(a, b))) return false;
+      }
+    return true;
+  };
+  while (true) {
+    std::vector<double> errors = search.tried[chosen[0]].errors;
+    for (int k = 1; k < count; ++k)
+      for (std::size_t i = 0; i < errors.size(); ++i)
+        errors[i] = std::min(errors[i], search.tried[chosen[k]].errors[i]);
+    const double e = mean(errors);
+    if (e < best.error && apart()) {
+      best = {{}, e, std::move(errors)};
+      for (const int k : chosen) best.roughness.push_back(search.tried[k].roughness);
+    }
+    int last = count - 1;  // the next combination
+    while (last >= 0 && chosen[last] == candidates - count + last) --last;
+    if (last < 0) return best;
+    ++chosen[last];
+    for (int k = last + 1; k < count; ++k) chosen[k] = chosen[k - 1] + 1;
+  }
+}
+
+// As many materials as pay: points are told apart by the roughness that explains each best.
+Materials findMaterials(const RoughnessSearch& search) {
+  Materials found = bestTogether(search, 1);
+  for (int count = 2; count <= kMostMaterials; ++count) {
+    Materials more = bestTogether(search, count);
+    if (!(more.error < kMaterialPays * found.error)) break;
+    found = std::move(more);
+  }
+  return found;
+}
+
+// The roughness of `materials` that explains the point best, and its tangent; leaves them in `point`.
+void chooseMaterial(const std::vector<Roughness>& materials, PointSamples& samples,
+                    const Direction<AcquisitionSpace>& normal, PointReflectance& point) {
+  setFrame(point, normal, 0);
+  point.alpha_x = materials[0].x, point.alpha_y = materials[0].y;
+  double least = std::numeric_limits<double>::infinity();
+  for (const Roughness& roughness : materials) {
+    if (materials.size() == 1 && roughness.x == roughness.y) break;
+    PointReflectance tried = point;
+    tried.alpha_x = roughness.x, tried.alpha_y = roughness.y;
+    double error;
+    if (roughness.x != roughness.y) {
+      error = findTangent(samples, normal, tried);
+    } else {
+      setFrame(tried, normal, 0);
+      error = samples.fit(tried, 1);
+    }
+    if (error < least) least = error, point = tried;
+  }
+}
+
 // Normals and lit bits of a hull by the photographs.
-void correctHull(const FitInput& input, const Roughness& roughness, std::vector<Direction<AcquisitionSpace>>& normals,
-                 CapturedVisibility& visibility, Reporter& reporter) {
+void correctHull(const FitInput& input, const std::vector<Roughness>& materials,
+                 std::vector<Direction<AcquisitionSpace>>& normals, CapturedVisibility& visibility,
+                 Reporter& reporter) {
   Reporter::Stage stage(reporter, "fit: normals", normals.size());
   VisibilityBits lit = visibility.lit;
   parallelFor(normals.size(), kChunk, [&](std::size_t begin, std::size_t end) {
@@ -156,15 +240,14 @@ void correctHull(const FitInput& input, const Roughness& roughness, std::vector<
       point.load(input, i, normals[i]);
       if (point.litSamples() < kFewestSearchSamples) continue;
       PointReflectance fitted;
-      fitted.alpha_x = roughness.x, fitted.alpha_y = roughness.y;
-      const bool brushed = roughness.x != roughness.y;
-      const double tangent = brushed ? findTangent(point, normals[i], fitted).angle : 0;
+      chooseMaterial(materials, point, normals[i], fitted);
+      // The angle about the normal from which setFrame starts again for each normal that is tried.
+      const Vec3 u = anyPerpendicular(normals[i]).raw();
+      const Vec3 t{fitted.tangent[0], fitted.tangent[1], fitted.tangent[2]};
+      const double tangent = std::atan2(dot(t, cross(normals[i].raw(), u)), dot(t, u));
       normals[i] = photometricNormal(point, normals[i], fitted, tangent);
       point.load(input, i, normals[i]);
-      if (brushed)
-        findTangent(point, normals[i], fitted);
-      else
-        setFrame(fitted, normals[i], 0);
+      chooseMaterial(materials, point, normals[i], fitted);
       point.fit(fitted, kRounds);
       correctLit(input, point, fitted, i, lit);
     }
@@ -172,6 +255,12 @@ void correctHull(const FitInput& input, const Roughness& roughness, std::vector<
   });
   visibility.lit = std::move(lit);
   litAroundFromNeighbours(input, visibility);
+}
+
+// The squared error with the residuals that the point takes.
+double guidedError(const HoldoutError& e, const FittedPoint& point) {
+  return lerp(e.in_light.lit, e.in_light.indirect, double{point.indirect}) +
+         lerp(e.in_shadow.lit, e.in_shadow.indirect, double{point.indirect_shadow});
 }
 
 }  // namespace
@@ -196,35 +285,36 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   const FitInput input{field, model, lists, samples, visibility};
   const bool is_hull = model.shape == "hull";
 
-  Roughness roughness;
-  {
-    std::vector<SearchPoint> points = searchPoints(input, normals);
-    if (points.empty()) {
-      reporter.info("no reflectance model: no point has samples enough; interpolation stays plain");
-      return std::nullopt;
-    }
+  std::vector<Roughness> materials{Roughness()};
+  if (std::vector<SearchPoint> points = searchPoints(input, normals); points.empty()) {
+    reporter.info("reflectance model: no point has " + std::to_string(kFewestSearchSamples) +
+                  " lit samples, which a lobe would need; Lambert's law guides alone");
+  } else {
     Reporter::Stage stage(reporter, "fit: roughness", 2);
-    roughness = searchIsotropic(points, reporter).best;
+    RoughnessSearch isotropic = searchIsotropic(points, reporter);
     if (is_hull) {  // bent normals look like roughness
       PointReflectance known;
-      known.alpha_x = known.alpha_y = roughness.x;
+      known.alpha_x = known.alpha_y = isotropic.best.x;
       parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i)
           points[i].normal = photometricNormal(points[i].samples, points[i].normal, known, 0);
       });
-      roughness = searchIsotropic(points, reporter).best;
+      isotropic = searchIsotropic(points, reporter);
     }
+    const Materials found = findMaterials(isotropic);
+    materials = found.roughness;
     stage.advance();
     // Two roughnesses explain a little more of anything: taken where it is much.
     const std::span few(points.data(), std::min(points.size(), kTangentPoints));
-    const RoughnessSearch anisotropic = searchAnisotropic(few, roughness.x, reporter);
-    if (anisotropic.error < kAnisotropyPays * searchError(few, roughness)) roughness = anisotropic.best;
+    const RoughnessSearch anisotropic = searchAnisotropic(few, isotropic.best.x, reporter);
+    const double before = mean({found.errors.begin(), found.errors.begin() + static_cast<std::ptrdiff_t>(few.size())});
+    if (anisotropic.error < kAnisotropyPays * before) materials = {anisotropic.best};
     stage.advance();
   }
 
   ReflectanceFit fit;
   fit.lit_by_rays = visibility.lit;
-  if (is_hull) correctHull(input, roughness, normals, visibility, reporter);
+  if (is_hull) correctHull(input, materials, normals, visibility, reporter);
   fit.points.resize(model.size());
   std::vector<HoldoutError> errors(model.size());
   {
@@ -236,17 +326,24 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
       for (std::size_t i = begin; i < end; ++i) {
         FittedPoint& fitted = fit.points[i];
         setFrame(fitted.reflectance, normals[i], 0);
-        fitted.reflectance.alpha_x = roughness.x, fitted.reflectance.alpha_y = roughness.y;
+        fitted.reflectance.alpha_x = materials[0].x, fitted.reflectance.alpha_y = materials[0].y;
         point.load(input, i, normals[i]);
         if (point.litSamples() == 0) continue;
-        if (roughness.x != roughness.y) findTangent(point, normals[i], fitted.reflectance);
+        chooseMaterial(materials, point, normals[i], fitted.reflectance);
         point.fit(fitted.reflectance, kRounds);
         point.evaluate(fitted.reflectance, values);
         HoldoutError& e = errors[i] = hold_out(input, point, values);
-        const double plain = std::sqrt(e.plain), lit = std::sqrt(e.lit), indirect = std::sqrt(e.indirect);
         // The residual of all lights only where it is clearly the better one.
-        fitted.indirect = lit > 0 ? static_cast<float>(smoothstep(0, 0.1, 1 - indirect / lit)) : 0.f;
-        const double guided = lerp(lit, indirect, fitted.indirect);
+        const auto all_lights = [](const HoldoutError::Part& part) {
+          return part.lit > 0 ? static_cast<float>(smoothstep(0, 0.1, 1 - std::sqrt(part.indirect / part.lit))) : 0.f;
+        };
+        fitted.indirect = all_lights(e.in_light);
+        // Indirect light is in most shadows; what is in a few is the outline of a shadow that a pixel has blurred.
+        fitted.indirect_shadow =
+            all_lights(e.in_shadow) *
+            static_cast<float>(smoothstep(
+                0.2, 0.4, e.in_shadow.for_indirect / std::max(1.0, static_cast<double>(e.in_shadow.lights))));
+        const double plain = std::sqrt(e.plain), guided = std::sqrt(guidedError(e, fitted));
         // Never worse than plain: 1 where guidance helps by 10 %, 0 where it harms by 5 %.
         fitted.gate = plain > 0 ? static_cast<float>(smoothstep(0, 1, (1.05 * plain - guided) / (0.15 * plain))) : 0.f;
       }
@@ -255,9 +352,8 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   }
   double plain = 0, guided = 0, square = 0;
   for (std::size_t i = 0; i < model.size(); ++i) {
-    const double g = fit.points[i].gate, indirect = fit.points[i].indirect;
     plain += errors[i].plain;
-    guided += lerp(errors[i].plain, lerp(errors[i].lit, errors[i].indirect, indirect), g);
+    guided += lerp(errors[i].plain, guidedError(errors[i], fit.points[i]), double{fit.points[i].gate});
     square += errors[i].square;
   }
   if (square > 0) fit.error_plain = std::sqrt(plain / square), fit.error_guided = std::sqrt(guided / square);
@@ -266,8 +362,9 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   fit.seen_around = std::move(visibility.seen_around);
   reporter.figure("fit.error_plain", fit.error_plain);
   reporter.figure("fit.error_guided", fit.error_guided);
-  reporter.figure("fit.alpha_x", roughness.x);
-  reporter.figure("fit.alpha_y", roughness.y);
+  reporter.figure("fit.alpha_x", materials[0].x);
+  reporter.figure("fit.alpha_y", materials[0].y);
+  reporter.figure("fit.materials", static_cast<double>(materials.size()));
   return fit;
 }
 

@@ -17,9 +17,10 @@ namespace srf {
 struct FittedPoint {
   PointReflectance reflectance;
   float gate = 0;  ///< 0: plain interpolation, 1: guided, by the leave-one-light-out error at this point
-  /// 0: the residual is relit by lights that light the point (G1); 1: by all (G2), where indirect light or translucency
-  /// fills the shadows. By the same error.
-  float indirect = 0;
+  /// 0: the residual is relit by lights that light the point (G1); 1: by all as they are (G2). By the same error, for a
+  /// light that lights the point and, apart, for one that does not: there G1 is dark, and G2 holds indirect light and
+  /// translucency.
+  float indirect = 0, indirect_shadow = 0;
 };
 
 struct ReflectanceFit {

@@ -88,6 +88,7 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
     const float w = query.hit->weight[i];
     hit.gate += w * point.gate;
     hit.indirect += w * point.indirect;
+    hit.indirect_shadow += w * point.indirect_shadow;
     to.alpha_x += w * from.alpha_x;
     to.alpha_y += w * from.alpha_y;
     // The tangent is an axis: turned to the side of the first.
@@ -233,7 +234,7 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
     const float x = block.x[at], y = block.y[at], z = block.z[at];
     const float cosine = dot3(hit.reflectance.normal, x, y, z);
     // Below the horizon only what is interpolated as it is could count.
-    if (!(cosine > 0) && gate >= 1 && !(hit.indirect > 0)) continue;
+    if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0)) continue;
     const std::array<float, 3> e =
         floats(k < distant_count ? lights.distant[k].irradiance
                                  : block.near_irradiance[index * near_count + k - distant_count]);
@@ -262,7 +263,8 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
         visible += static_cast<float>(weight) * block.captured[i].disagree * block.captured[i].lit;
     }
     const float nearness = nearest < kNotNear * kNotNear ? 1 - smoothstepf(kNear, kNotNear, std::sqrt(nearest)) : 0;
-    const float as_is = off ? 0 : hit.indirect + (1 - hit.indirect) * nearness;
+    const float indirect = hit.indirectUnder(cosine > 0 ? visible : 0);
+    const float as_is = off ? 0 : indirect + (1 - indirect) * nearness;
     const float shown = options_.shadows == Shadows::captured ? visible + nearness * (captured - visible) : visible;
     for (int c = 0; c < 3; ++c) block.reach[c][k] = gate * shown * e[c];
     if (options_.model_alone) continue;
@@ -328,10 +330,11 @@ void GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::ui
   }
   if (options_.model_alone) return;
 
-  // The lit residual: of each captured light as much as of the light about it is shown; together what reaches the
-  // surface.
+  // The residual as it is, and the lit one: of each captured light as much as of the light about it is shown; together
+  // what reaches the surface.
   double standing = 0;
   block.amount_lit.assign(count, 0);
+  block.as_is.assign(count, 0);
   const auto irradiance = [&](std::uint32_t i, int c) {
     const double inverse = list.inverseIrradiance(i, hit.query.look_up->p)[c];
     return inverse > 0 ? static_cast<float>(1 / inverse) : 0.f;
@@ -339,13 +342,12 @@ void GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::ui
   for (const std::uint32_t i : list.usable()) {
     const float shown = all_about[i] > 0 ? shown_about[i] / all_about[i] : 1;
     block.amount_lit[i] = block.captured[i].usable * shown;
+    if (!off) block.as_is[i] = hit.indirectUnder(all_about[i] > 0 ? shown : block.captured[i].lit);
     for (int c = 0; c < 3; ++c) standing += block.amount_lit[i] * block.shared[c * pad + i] * irradiance(i, c);
   }
-  const float indirect = off ? 0 : hit.indirect;
-  const float scale =
-      standing > 0 ? gate * (1 - indirect) * static_cast<float>(std::min<double>(kMostRatio, reaching / standing)) : 0;
+  const float scale = standing > 0 ? gate * static_cast<float>(std::min<double>(kMostRatio, reaching / standing)) : 0;
   for (const std::uint32_t i : list.usable()) {
-    const float from_lit = scale * block.amount_lit[i], from_all = gate * indirect;
+    const float from_lit = (1 - block.as_is[i]) * scale * block.amount_lit[i], from_all = gate * block.as_is[i];
     float* const amount = block.amounts[i].of;
     for (int c = 0; c < 3; ++c) {
       const float e = block.shared[c * pad + i] * irradiance(i, c);

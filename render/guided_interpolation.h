@@ -40,8 +40,10 @@ struct GuidedBlock {
   struct Hit {
     GuidedQuery query;
     PointReflectance reflectance;
-    float gate = 0, indirect = 0;
+    float gate = 0, indirect = 0, indirect_shadow = 0;
     std::array<float, 3> view{};  ///< v
+    /// FittedPoint::indirect for a light of which so much reaches the point.
+    float indirectUnder(float visible) const { return indirect_shadow + visible * (indirect - indirect_shadow); }
   };
   std::vector<Hit> hits;
   /// Of each hit and light of the frame (distant, then near; a row of GuidedLighting): direction in
@@ -71,7 +73,7 @@ struct GuidedBlock {
   std::array<std::vector<float>, 3> used_direction, used_amount;  ///< of the captured lights that the residual uses
   std::vector<Penalised> order;
   std::vector<Weighted> weights;
-  std::vector<float> shared, toward, amount_lit;  ///< a blend of shared vectors; sums by captured light
+  std::vector<float> shared, toward, amount_lit, as_is;  ///< a blend of shared vectors; sums by captured light
   std::vector<std::pair<float, std::uint32_t>> brightest;
 };
 

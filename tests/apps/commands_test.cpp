@@ -19,6 +19,7 @@
 #include "base/files.h"
 #include "base/image_io.h"
 #include "base/json.h"
+#include "base/mesh_io.h"
 #include "tests/support/test_support.h"
 
 extern char** environ;
@@ -218,6 +219,30 @@ TEST(Info, TellsWhatFieldCaptureSceneFrameAndMeshHold) {
   EXPECT_EQ(photo["size"], "64 x 64");
   EXPECT_EQ(photo["channels"]["R"]["nan"], 0);
   EXPECT_TRUE(info(sample().capture / "model.ply")["closed"]);
+}
+
+TEST(Info, ShowsWhatWasFittedAndModelExportsIt) {
+  const test::TemporaryFolder folder;
+  const Outcome outcome = run({"info", sample().field, "--json", "--pictures", folder / "maps"});
+  ASSERT_EQ(outcome.code, 0) << outcome.err;
+  const Json fit = Json::parse(outcome.out)["fit"];
+  EXPECT_GT(fit["held_out_error_plain"].get<double>(), fit["held_out_error_guided"].get<double>());
+  EXPECT_GT(fit["gate_mean"].get<double>(), 0.5);
+  ASSERT_EQ(fit["pictures"].size(), 7u);
+  for (const Json& name : fit["pictures"]) {
+    const ImageF image = readImage(folder.path() / "maps" / name.get<std::string>(), Transfer::linear).pixels;
+    EXPECT_EQ(image.width(), 64);
+    if (name == "normal.png")  // the camera sees what faces it, and most of all the middle
+      for (int c = 0; c < 3; ++c) EXPECT_GT(image.at(32, 32, c), 0) << c;
+  }
+
+  ASSERT_EQ(run({"model", sample().field, "--export-parameters", folder / "p.ply"}).code, 0);
+  const std::string ply = readTextFile(folder / "p.ply").substr(0, 4000);
+  for (const char* const column : {"base_color_r", "metallic", "roughness", "kd_g", "alpha_y", "tangent_z", "gate"})
+    EXPECT_NE(ply.find(std::string("property float ") + column + "\n"), std::string::npos) << column;
+  ASSERT_EQ(run({"model", sample().field, "--export-parameters", folder / "p.glb"}).code, 0);
+  EXPECT_FALSE(readMesh(folder / "p.ply").triangles.empty());
+  EXPECT_EQ(run({"model", sample().field, "--export-parameters", folder / "p.obj"}).code, 2);
 }
 
 // ---- Bad captures --------------------------------------------------------------------------------------------------
