@@ -26,7 +26,7 @@ class Folders {
  public:
   // The file itself, or nothing.
   fs::path find(const fs::path& wanted) {
-    const fs::path folder = wanted.parent_path();
+    const fs::path folder = wanted.lexically_normal().parent_path();
     auto [it, fresh] = known_.try_emplace(folder);
     if (fresh) {
       std::error_code code;

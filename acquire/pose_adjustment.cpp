@@ -24,7 +24,7 @@ constexpr int kCells = 96;
 constexpr int kAcross = 200;         // pixels of the picture in which outlines are looked for
 constexpr double kOutlier = 3;       // pixels: residuals beyond count less and less
 constexpr double kIndependent = 60;  // points that an outline's many neighbours are worth
-constexpr double kLoose = 0.03;   // weight of places where the hull is merely too large
+constexpr double kLoose = 0.03;      // weight of places where the hull is merely too large
 constexpr double kStill = 0.03;      // pixels: the end of the rounds
 
 // Rotation about the object's middle (radians) and translation, in camera space.
