@@ -3,10 +3,8 @@
 
 #include <filesystem>
 #include <functional>
-#include <optional>
 #include <string>
 
-#include "acquire/pose_adjustment.h"
 #include "acquire/silhouette.h"
 #include "acquire/visual_hull.h"
 #include "field/reflectance_store.h"
@@ -20,9 +18,8 @@ struct AcquireOptions {
   bool make_hull = true;  ///< false where the model will come from another shape
   /// Makes the hull from the carved one, e.g. exactVisualHull; absent: the carved one it is.
   std::function<VisualHull(const std::vector<SilhouetteView>&, const VisualHull&, Reporter&)> refine_hull;
-  std::optional<PoseAdjustmentOptions> adjust_poses;  ///< its bounds are the capture's
-  std::filesystem::path mask_pictures;                ///< folder for pictures of the masks; empty: none
-  StoreCoding coding;     ///< of the reflectance images
+  std::filesystem::path mask_pictures;  ///< folder for pictures of the masks; empty: none
+  StoreCoding coding;                   ///< of the reflectance images
   std::size_t memory_bytes = std::size_t{1} << 30;
   std::string command;  ///< recorded in the manifest
 };
