@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <set>
 
+#include "acquire/mask_pictures.h"
 #include "acquire/registration.h"
 #include "base/error.h"
 #include "base/files.h"
@@ -112,7 +113,9 @@ SrfManifest acquireField(const Capture& capture, const fs::path& out, const Acqu
   const fs::path folder = out.has_filename() ? out : out.parent_path();
   OutputFolder output(folder);
   checkAllPhotographs(capture, reporter);
-  const std::vector<SilhouetteView> masks = silhouettes(capture, options.silhouette, reporter);
+  SilhouetteOptions silhouette_options = options.silhouette;
+  silhouette_options.memory_bytes = options.memory_bytes;
+  const std::vector<SilhouetteView> masks = silhouettes(capture, silhouette_options, reporter);
 
   SrfManifest manifest;
   manifest.units = capture.units;
@@ -127,8 +130,11 @@ SrfManifest acquireField(const Capture& capture, const fs::path& out, const Acqu
     HullOptions hull_options = options.hull;
     if (!hull_options.bounds) hull_options.bounds = capture.bounds;
     hull = carveVisualHull(masks, hull_options, reporter);
+    if (options.refine_hull) hull = options.refine_hull(masks, *hull, reporter);
     recordHull(*hull, reporter);
   }
+  if (!options.mask_pictures.empty())
+    writeMaskPictures(capture, masks, hull ? &hull->mesh : nullptr, options.mask_pictures, reporter);
   {
     std::size_t photo_count = 0;
     for (const CaptureView& view : capture.views)

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <string>
 
 #include "acquire/silhouette.h"
@@ -15,7 +16,10 @@ struct AcquireOptions {
   SilhouetteOptions silhouette;
   HullOptions hull;
   bool make_hull = true;  ///< false where the model will come from another shape
-  StoreCoding coding;     ///< of the reflectance images
+  /// Makes the hull from the carved one, e.g. exactVisualHull; absent: the carved one it is.
+  std::function<VisualHull(const std::vector<SilhouetteView>&, const VisualHull&, Reporter&)> refine_hull;
+  std::filesystem::path mask_pictures;  ///< folder for pictures of the masks; empty: none
+  StoreCoding coding;                   ///< of the reflectance images
   std::size_t memory_bytes = std::size_t{1} << 30;
   std::string command;  ///< recorded in the manifest
 };

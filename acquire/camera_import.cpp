@@ -10,6 +10,7 @@
 #include <set>
 #include <sstream>
 
+#include "acquire/mask_files.h"
 #include "base/error.h"
 #include "base/files.h"
 #include "base/image_io.h"
@@ -512,7 +513,9 @@ Capture readColmap(const fs::path& model_folder, const fs::path& image_folder, R
   return capture;
 }
 
-Capture openCapture(const fs::path& folder, Reporter& reporter) {
+namespace {
+
+Capture openAnyCapture(const fs::path& folder, Reporter& reporter) {
   if (!isThere(folder)) throw badInput(folder.string(), "does not exist; check the path");
   if (!fs::is_directory(folder))
     return folder.filename().string().ends_with("_par.txt") ? readMiddlebury(folder, reporter) : readCapture(folder);
@@ -533,6 +536,14 @@ Capture openCapture(const fs::path& folder, Reporter& reporter) {
   throw badInput(folder.string(),
                  "is no capture: it holds neither transforms.json, nor a Middlebury *_par.txt, nor a COLMAP "
                  "model (cameras and images, .bin or .txt, here, in sparse/ or in sparse/0)");
+}
+
+}  // namespace
+
+Capture openCapture(const fs::path& folder, Reporter& reporter) {
+  Capture capture = openAnyCapture(folder, reporter);
+  findMaskFiles(capture, reporter);
+  return capture;
 }
 
 }  // namespace srf

@@ -298,7 +298,10 @@ ImportedShape importMesh(AcquisitionMesh mesh, const std::string& file, Reporter
 
 // Laser range data: outliers go, normals are found where absent, and the Poisson equation makes a closed surface
 // (Kazhdan et al. 2006, as CGAL solves it).
-ImportedShape importPoints(const AcquisitionMesh& cloud, const std::string& file, Reporter& reporter) {
+// `sensors`: where each point was seen from; empty where nobody tells. Until the normals are known, a point's vector
+// goes to its sensor.
+ImportedShape importPoints(const AcquisitionMesh& cloud, const std::vector<Point3>& sensors, const std::string& file,
+                           Reporter& reporter) {
   using PointVector = std::pair<Kernel::Point_3, Kernel::Vector_3>;
   const auto maps = CGAL::parameters::point_map(CGAL::First_of_pair_property_map<PointVector>())
                         .normal_map(CGAL::Second_of_pair_property_map<PointVector>());
@@ -309,7 +312,9 @@ ImportedShape importPoints(const AcquisitionMesh& cloud, const std::string& file
   std::vector<PointVector> points;
   for (std::size_t i = 0; i < cloud.positions.size(); ++i) {
     if (!isFinite(cloud.positions[i])) continue;
-    const Vec3 p = cloud.positions[i].raw(), n = cloud.normals.empty() ? Vec3{} : cloud.normals[i].raw();
+    const Vec3 p = cloud.positions[i].raw(), n = !sensors.empty()        ? (sensors[i] - cloud.positions[i]).raw()
+                                                 : cloud.normals.empty() ? Vec3{}
+                                                                         : cloud.normals[i].raw();
     points.push_back({{p.x, p.y, p.z}, {n.x, n.y, n.z}});
   }
   const Box<AcquisitionSpace> bounds = cloud.bounds();
@@ -335,7 +340,13 @@ ImportedShape importPoints(const AcquisitionMesh& cloud, const std::string& file
   reporter.count("shape.points_dropped", before - points.size());
   stage.advance();
 
-  if (cloud.normals.empty()) {
+  if (!sensors.empty()) {
+    std::vector<Kernel::Vector_3> to_sensor;
+    for (const PointVector& p : points) to_sensor.push_back(p.second);
+    CGAL::pca_estimate_normals<CGAL::Sequential_tag>(points, kNeighbours, maps);
+    for (std::size_t i = 0; i < points.size(); ++i)
+      if (points[i].second * to_sensor[i] < 0) points[i].second = -points[i].second;
+  } else if (cloud.normals.empty()) {
     CGAL::pca_estimate_normals<CGAL::Sequential_tag>(points, kNeighbours, maps);
     points.erase(CGAL::mst_orient_normals(points, kNeighbours, maps), points.end());
     if (points.size() < 4 * kNeighbours)
@@ -405,13 +416,52 @@ std::optional<ImportedShape> parametricShape(const std::string& name, const Box<
 }
 
 ImportedShape importShape(const std::filesystem::path& file, Reporter& reporter) {
-  return importShape(readMesh(file), file.string(), reporter);
+  std::vector<std::filesystem::path> files;
+  std::error_code code;
+  if (std::filesystem::is_directory(file, code)) {
+    for (const auto& entry : std::filesystem::directory_iterator(file))
+      if (entry.path().extension() == ".ply") files.push_back(entry.path());
+    if (files.empty()) throw badInput(file.string(), "holds no PLY file; expected the range views of an object");
+    std::sort(files.begin(), files.end());
+  } else {
+    files.push_back(file);
+  }
+  std::vector<RangeView> views;
+  for (const auto& view : files) views.push_back(readRangeView(view));
+  if (views.size() == 1 && !views[0].points.triangles.empty())
+    return importShape(std::move(views[0].points), file.string(), reporter);
+  for (std::size_t i = 0; i < views.size(); ++i)
+    if (!views[i].points.triangles.empty())
+      throw badInput(files[i].string(), "has faces; expected points alone, as range views have");
+  return importRangeViews(views, file.string(), reporter);
+}
+
+ImportedShape importRangeViews(const std::vector<RangeView>& views, const std::string& name, Reporter& reporter) {
+  if (views.size() == 1 && !views[0].sensor) return importShape(views[0].points, name, reporter);
+  AcquisitionMesh all;
+  std::vector<Point3> sensors;
+  for (const RangeView& view : views) {
+    all.positions.insert(all.positions.end(), view.points.positions.begin(), view.points.positions.end());
+    if (view.sensor) sensors.insert(sensors.end(), view.points.positions.size(), *view.sensor);
+  }
+  if (sensors.size() < all.positions.size()) {
+    if (!sensors.empty())
+      reporter.warn(name +
+                    ": some range views do not tell where their sensor stood (element camera); all are oriented "
+                    "by their neighbours");
+    sensors.clear();
+  }
+  try {
+    return importPoints(all, sensors, name, reporter);
+  } catch (const CGAL::Failure_exception& failure) {
+    throw badInput(name, std::string("no surface could be made of the points: ") + failure.what());
+  }
 }
 
 ImportedShape importShape(AcquisitionMesh mesh, const std::string& name, Reporter& reporter) {
   if (!mesh.triangles.empty()) return importMesh(std::move(mesh), name, reporter);
   try {
-    return importPoints(mesh, name, reporter);
+    return importPoints(mesh, {}, name, reporter);
   } catch (const CGAL::Failure_exception& failure) {
     throw badInput(name, std::string("no surface could be made of the points: ") + failure.what());
   }

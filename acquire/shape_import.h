@@ -5,8 +5,10 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "base/mesh.h"
+#include "base/mesh_io.h"
 #include "base/reporter.h"
 
 namespace srf {
@@ -22,9 +24,13 @@ struct ImportedShape {
 std::optional<ImportedShape> parametricShape(const std::string& name, const Box<AcquisitionSpace>& bounds,
                                              Reporter& reporter);
 /// Reads a PLY/OBJ. With faces: cleaned, oriented outwards, holes reported. Without: a point cloud becomes a surface
-/// (normals estimated and oriented where absent, outliers dropped, Poisson reconstruction).
+/// (normals estimated and oriented where absent, outliers dropped, Poisson reconstruction). A folder: its PLY files are
+/// range views of one object (claim 6), see importRangeViews.
 ImportedShape importShape(const std::filesystem::path& file, Reporter& reporter);
 /// The same for a mesh that was read already; `name` stands for the file in messages.
 ImportedShape importShape(AcquisitionMesh mesh, const std::string& name, Reporter& reporter);
+/// Points that a scanner saw from several places, in one space, become one surface: outliers go, normals are found and
+/// face the sensor that saw the point, then as above. Views without a sensor are oriented by their neighbours.
+ImportedShape importRangeViews(const std::vector<RangeView>& views, const std::string& name, Reporter& reporter);
 
 }  // namespace srf

@@ -2,16 +2,23 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
+#include <functional>
+#include <map>
 #include <numeric>
 #include <opencv2/imgproc.hpp>
+#include <set>
 
+#include "acquire/silhouette_agreement.h"
 #include "base/error.h"
 #include "base/image_io.h"
 #include "base/parallel.h"
 
 namespace srf {
 namespace {
+
+namespace fs = std::filesystem;
 
 constexpr int kLevels = 256;
 using Histogram = std::array<double, kLevels>;
@@ -222,17 +229,153 @@ cv::Mat surelyBackground(const cv::Mat& region) {
   return background;
 }
 
+// --- A clean plate, a screen of one colour ---------------------------------------------------------------------------
+
+cv::Mat matOf(const ImageF& image) {
+  return {image.height(), image.width(), CV_32FC(image.channels()), const_cast<float*>(image.data().data())};
+}
+
+void addPhotograph(ImageF& sum, const ImageF& p) {
+  if (sum.empty()) sum = ImageF(p.width(), p.height(), 3);
+  for (int y = 0; y < p.height(); ++y)
+    for (int x = 0; x < p.width(); ++x)
+      for (int c = 0; c < 3; ++c) {
+        const float value = p.at(x, y, p.channels() < 3 ? 0 : c);
+        if (std::isfinite(value)) sum.at(x, y, c) += value;
+      }
+}
+
+fs::path firstThat(const std::vector<fs::path>& candidates) {
+  std::error_code code;
+  for (const fs::path& file : candidates)
+    if (fs::is_regular_file(file, code)) return file;
+  return {};
+}
+
+/// The picture of the empty place that belongs to a photograph.
+fs::path plateOf(const fs::path& plates, const Capture& capture, const CaptureView& view, const Photo& photo) {
+  std::error_code code;
+  if (!fs::is_directory(plates, code)) return plates;
+  const fs::path extension = photo.file.extension();
+  const fs::path found =
+      firstThat({plates / photo.file.lexically_normal().lexically_relative(capture.folder.lexically_normal()),
+                 plates / photo.file.filename(), plates / (view.name + extension.string())});
+  if (!found.empty()) return found;
+  throw badInput(plates.string(), "holds no picture for " + photo.file.string() + "; name it " +
+                                      photo.file.filename().string() + ", or give one file for all");
+}
+
+/// The mean of the plates of a view's photographs.
+ImageF meanPlate(const fs::path& plates, const Capture& capture, const CaptureView& view) {
+  std::vector<fs::path> files;
+  for (const Photo& photo : view.photos) files.push_back(plateOf(plates, capture, view, photo));
+  if (std::set<fs::path>(files.begin(), files.end()).size() == 1) files.resize(1);
+  ImageF sum;
+  for (const fs::path& file : files) {
+    const ImageF pixels = readImage(file, capture.integer_transfer).pixels;
+    requireSize(pixels.width(), pixels.height(), view.camera.lens, file);
+    addPhotograph(sum, pixels);
+  }
+  for (float& v : sum.data()) v /= static_cast<float>(files.size());
+  return sum;
+}
+
+float encoded(float linear, float white) {
+  return srgbFromLinear(std::min(1.f, std::max(0.f, linear / white)));
+}
+
+/// How far two pictures lie apart, in the 256 steps of sRGB.
+cv::Mat differenceLevels(const ImageF& a, const ImageF& b, float white) {
+  cv::Mat levels(a.height(), a.width(), CV_8U);
+  for (int y = 0; y < levels.rows; ++y)
+    for (int x = 0; x < levels.cols; ++x) {
+      float most = 0;
+      for (int c = 0; c < 3; ++c)
+        most = std::max(most, std::fabs(encoded(a.at(x, y, c), white) - encoded(b.at(x, y, c), white)));
+      levels.at<std::uint8_t>(y, x) = static_cast<std::uint8_t>(std::lround(255 * most));
+    }
+  return levels;
+}
+
+/// The screen under more or less light than in the key: the nearest to each pixel's colour. Not down to black, or every
+/// black object would be screen.
+ImageF screenBehind(const ImageF& picture, const Vec3& key) {
+  constexpr double kLeast = 0.35, kMost = 1.5;
+  ImageF screen(picture.width(), picture.height(), 3);
+  for (int y = 0; y < picture.height(); ++y)
+    for (int x = 0; x < picture.width(); ++x) {
+      const Vec3 colour{picture.at(x, y, 0), picture.at(x, y, 1), picture.at(x, y, 2)};
+      const double light = std::clamp(dot(colour, key) / dot(key, key), kLeast, kMost);
+      for (int c = 0; c < 3; ++c) screen.at(x, y, c) = static_cast<float>(light * key[c]);
+    }
+  return screen;
+}
+
+/// The median colour of what is surely background, linear.
+Vec3 keyOf(const ImageF& picture, const cv::Mat& background, const CaptureView& view) {
+  Vec3 key;
+  for (int c = 0; c < 3; ++c) {
+    std::vector<float> values;
+    for (int y = 0; y < picture.height(); ++y)
+      for (int x = 0; x < picture.width(); ++x)
+        if (background.at<std::uint8_t>(y, x)) values.push_back(picture.at(x, y, c));
+    const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+    std::nth_element(values.begin(), middle, values.end());
+    key[c] = *middle;
+  }
+  if (!(maxComponent(key) > 0) || minComponent(key) > 0.6 * maxComponent(key))
+    throw badInput(
+        view.photos.front().file.string(),
+        "what surrounds the object is no screen of a strong colour; name it (--chroma-key '#00b140'), or give "
+        "masks");
+  return key;
+}
+
 /// A view on its way: a finished mask, or the levels that are still to be split into object and background.
 struct Draft {
   Image8 mask;
   cv::Mat levels, region;
+  std::string note;  ///< what is odd about its mask file
 };
+
+/// The photograph and what lies behind the object in it.
+struct Backed {
+  ImageF picture, behind;
+};
+Backed backedPicture(const Capture& capture, const CaptureView& view, const cv::Mat& region,
+                     const SilhouetteOptions& options) {
+  Backed out{meanPhotograph(capture, view), {}};
+  if (options.source == SilhouetteSource::clean_plate) {
+    out.behind = meanPlate(options.clean_plate, capture, view);
+  } else {
+    Vec3 key = options.key.value_or(Vec3{});
+    for (int c = 0; c < 3; ++c) key[c] = linearFromSrgb(static_cast<float>(key[c]));
+    if (!options.key) key = keyOf(out.picture, surelyBackground(region), view);
+    out.behind = screenBehind(out.picture, key);
+  }
+  return out;
+}
+
+Draft openBackedView(const Capture& capture, const CaptureView& view, const SilhouetteOptions& options) {
+  Draft draft;
+  draft.region = allowedRegion(capture, view.camera);
+  const Backed backed = backedPicture(capture, view, draft.region, options);
+  ImageF brightest(backed.picture.width(), backed.picture.height(), 1);
+  for (std::size_t i = 0; i < brightest.data().size(); ++i)
+    for (int c = 0; c < 3; ++c) brightest.data()[i] = std::max(brightest.data()[i], backed.picture.data()[3 * i + c]);
+  const float white = whiteOf(matOf(brightest), cv::Mat(brightest.height(), brightest.width(), CV_8U, cv::Scalar(255)));
+  draft.levels = differenceLevels(backed.picture, backed.behind, white);
+  if (options.background_threshold)
+    draft.levels = (draft.levels > static_cast<int>(255 * *options.background_threshold));
+  return draft;
+}
 
 Draft openView(const Capture& capture, const CaptureView& view, const SilhouetteOptions& options) {
   const Intrinsics& lens = view.camera.lens;
   Draft draft;
+  if (options.source != SilhouetteSource::automatic) return openBackedView(capture, view, options);
   if (!view.mask_file.empty()) {
-    draft.mask = readMask(view.mask_file);
+    draft.mask = readMaskFile(view.mask_file, options.polarity, draft.note);
     requireSize(draft.mask.width(), draft.mask.height(), lens, view.mask_file);
     requireObjectAndBackground(draft.mask, view.mask_file.string(),
                                "draw the mask anew: white is the object, black the background");
@@ -268,21 +411,29 @@ Draft openView(const Capture& capture, const CaptureView& view, const Silhouette
 }
 
 /// The level above which the drafts are object; one for all views, whose light and background are the same.
-int commonLevel(const std::vector<Draft>& drafts, const Capture& capture) {
+int commonLevel(const std::vector<Draft>& drafts, const Capture& capture, const SilhouetteOptions& options) {
   Histogram inside{}, outside{};
   for (const Draft& draft : drafts) {
     if (draft.levels.empty()) continue;
     addLevels(inside, draft.levels, draft.region);
     addLevels(outside, draft.levels, surelyBackground(draft.region));
   }
+  if (medianOf(outside) >= kDark && options.source == SilhouetteSource::clean_plate)
+    throw badInput(options.clean_plate.string(),
+                   "differs from the photographs where the object is not; take it with the same camera, exposure and "
+                   "lights");
+  if (medianOf(outside) >= kDark && options.source == SilhouetteSource::chroma_key)
+    throw badInput(capture.folder.string(),
+                   "the photographs' surroundings have not the colour of the key; give another, or masks");
   if (medianOf(outside) >= kDark)
     throw badInput(capture.folder.string(),
                    "the background of its photographs is not dark; give masks, or photograph the object before black");
   return footOfBackground(inside, outside);
 }
 
-/// Segmentation against a plain dark background.
-Image8 segment(const Draft& draft, int level, const CaptureView& view) {
+/// Segmentation against a plain dark background, or against a known one: the levels then tell the difference.
+Image8 segment(const Draft& draft, int level, const Capture& capture, const CaptureView& view,
+               const SilhouetteOptions& options) {
   cv::Mat mask = draft.levels > level;
   mask &= draft.region;
   cv::morphologyEx(mask, mask, cv::MORPH_CLOSE, cv::getStructuringElement(cv::MORPH_RECT, {3, 3}));
@@ -291,7 +442,42 @@ Image8 segment(const Draft& draft, int level, const CaptureView& view) {
   Image8 image = imageOf(mask);
   requireObjectAndBackground(image, view.photos.front().file.string(),
                              "give a mask, or another threshold for the background");
-  return image;
+  if (options.source == SilhouetteSource::automatic) return image;
+  const Backed backed = backedPicture(capture, view, draft.region, options);
+  return softEdges(image, backed.picture, &backed.behind);
+}
+
+/// Runs body(i) for each view, with no more photographs open at a time than fit into the memory.
+void forEachView(const Capture& capture, const std::vector<std::size_t>& which, const SilhouetteOptions& options,
+                 const std::function<void(std::size_t)>& body) {
+  // Of a photograph: as it is read, as floats, its mean, its brightness and what is made of them.
+  constexpr std::size_t kBytesPerPixel = 64;
+  std::size_t pixels = 1;
+  for (const std::size_t i : which)
+    pixels = std::max(pixels, static_cast<std::size_t>(capture.views[i].camera.lens.width) *
+                                  static_cast<std::size_t>(capture.views[i].camera.lens.height));
+  const std::size_t together = std::max<std::size_t>(1, options.memory_bytes / (kBytesPerPixel * pixels));
+  const std::size_t lanes = std::min<std::size_t>(together, static_cast<std::size_t>(threadCount()));
+  std::atomic<std::size_t> next{0};
+  parallelFor(lanes, 1, [&](std::size_t, std::size_t) {
+    for (std::size_t i; (i = next++) < which.size();) body(i);
+  });
+}
+
+/// Mask files that are not what everybody expects, in one sentence.
+void tellNotes(const Capture& capture, const std::vector<std::size_t>& which, const std::vector<Draft>& drafts,
+               Reporter& reporter) {
+  std::map<std::string, std::pair<std::size_t, std::string>> notes;  // note: how many, the first file
+  for (std::size_t i = 0; i < which.size(); ++i) {
+    if (drafts[i].note.empty()) continue;
+    auto& [count, first] = notes[drafts[i].note];
+    if (count++ == 0) first = capture.views[which[i]].mask_file.string();
+  }
+  for (const auto& [note, of] : notes) {
+    reporter.count("masks.reinterpreted", of.first);
+    reporter.warn(of.second + (of.first > 1 ? " and " + std::to_string(of.first - 1) + " masks more: each " : ": ") +
+                  note + " (--mask-polarity to say otherwise)");
+  }
 }
 
 /// Masks of the views in `which`, in that order.
@@ -299,12 +485,11 @@ std::vector<Image8> makeSilhouettes(const Capture& capture, const std::vector<st
                                     const SilhouetteOptions& options, Reporter& reporter) {
   std::vector<Draft> drafts(which.size());
   Reporter::Stage stage(reporter, "silhouettes", which.size());
-  parallelFor(which.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      drafts[i] = openView(capture, capture.views[which[i]], options);
-      stage.advance();
-    }
+  forEachView(capture, which, options, [&](std::size_t i) {
+    drafts[i] = openView(capture, capture.views[which[i]], options);
+    stage.advance();
   });
+  tellNotes(capture, which, drafts, reporter);
   const bool plain = std::any_of(drafts.begin(), drafts.end(), [](const Draft& d) { return !d.levels.empty(); });
   if (plain && !capture.bounds)
     reporter.warn(capture.folder.string() +
@@ -312,12 +497,13 @@ std::vector<Image8> makeSilhouettes(const Capture& capture, const std::vector<st
                   "taken as the object; give masks where it is wrong");
   int level = 128;
   if (plain && !options.background_threshold) {
-    level = commonLevel(drafts, capture);
+    level = commonLevel(drafts, capture, options);
     reporter.figure("silhouette.threshold", level / (kLevels - 1.0));
   }
-  parallelFor(drafts.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i)
-      if (!drafts[i].levels.empty()) drafts[i].mask = segment(drafts[i], level, capture.views[which[i]]);
+  forEachView(capture, which, options, [&](std::size_t i) {
+    if (drafts[i].levels.empty()) return;
+    drafts[i].mask = segment(drafts[i], level, capture, capture.views[which[i]], options);
+    drafts[i].levels = drafts[i].region = cv::Mat();
   });
   std::vector<Image8> masks;
   for (Draft& draft : drafts) masks.push_back(std::move(draft.mask));
@@ -331,13 +517,82 @@ Image8 silhouette(const Capture& capture, ViewId view, const SilhouetteOptions& 
 }
 
 std::vector<SilhouetteView> silhouettes(const Capture& capture, const SilhouetteOptions& options, Reporter& reporter) {
+  if (options.source == SilhouetteSource::grab_cut) return grabCutSilhouettes(capture, reporter);
   std::vector<std::size_t> all(capture.views.size());
   std::iota(all.begin(), all.end(), std::size_t{0});
   auto masks = makeSilhouettes(capture, all, options, reporter);
   std::vector<SilhouetteView> views;
   for (const std::size_t i : all)
     views.push_back({capture.views[i].name, capture.views[i].camera, std::move(masks[i])});
+  if (options.mend) mendSilhouettes(views, capture.bounds, reporter);
   return views;
+}
+
+Image8 boundsRegion(const Capture& capture, const Camera<AcquisitionSpace>& camera) {
+  return imageOf(allowedRegion(capture, camera));
+}
+
+ImageF meanPhotograph(const Capture& capture, const CaptureView& view) {
+  if (view.photos.empty())
+    throw badInput(capture.folder.string(),
+                   "view " + view.name + " has no photograph to find its silhouette in; add one");
+  ImageF sum;
+  for (const Photo& photo : view.photos) {
+    const ImageF pixels = readImage(photo.file, capture.integer_transfer).pixels;
+    requireSize(pixels.width(), pixels.height(), view.camera.lens, photo.file);
+    addPhotograph(sum, pixels);
+  }
+  for (float& v : sum.data()) v /= static_cast<float>(view.photos.size());
+  return sum;
+}
+
+Image8 largestPart(const Image8& mask) {
+  cv::Mat part(mask.height(), mask.width(), CV_8U, const_cast<std::uint8_t*>(mask.data().data()));
+  part = part >= 128;
+  keepLargestComponent(part);
+  return imageOf(part);
+}
+
+Image8 softEdges(const Image8& mask, const ImageF& photograph, const ImageF* plate) {
+  constexpr int kBand = 2, kBeside = 9;  // pixels: half width of the edge; window in which colours are taken
+  const cv::Mat hard(mask.height(), mask.width(), CV_8U, const_cast<std::uint8_t*>(mask.data().data()));
+  const cv::Mat picture = matOf(photograph),
+                around = cv::getStructuringElement(cv::MORPH_ELLIPSE, {2 * kBand + 1, 2 * kBand + 1});
+  cv::Mat inner, outer, object = hard >= 128;
+  cv::erode(object, inner, around);
+  cv::dilate(object, outer, around);
+  outer = ~outer;
+  // Mean colours of what is surely inside or outside, within the window.
+  const auto meanOver = [&](const cv::Mat& where, cv::Mat& weight) {
+    cv::Mat share, colours;
+    where.convertTo(share, CV_32F, 1.0 / 255);
+    cv::boxFilter(share, weight, CV_32F, {kBeside, kBeside}, {-1, -1}, false);
+    cv::Mat three;
+    cv::merge(std::vector<cv::Mat>{share, share, share}, three);
+    cv::boxFilter(picture.mul(three), colours, CV_32F, {kBeside, kBeside}, {-1, -1}, false);
+    return colours;
+  };
+  cv::Mat inner_weight, outer_weight;
+  const cv::Mat inner_sum = meanOver(inner, inner_weight), outer_sum = meanOver(outer, outer_weight);
+  Image8 out = mask;
+  for (int y = 0; y < mask.height(); ++y)
+    for (int x = 0; x < mask.width(); ++x) {
+      if (inner.at<std::uint8_t>(y, x) || outer.at<std::uint8_t>(y, x)) continue;
+      const float w_in = inner_weight.at<float>(y, x), w_out = outer_weight.at<float>(y, x);
+      if (!(w_in > 0) || !(plate || w_out > 0)) continue;  // thinner than the band: as it was
+      const auto in = inner_sum.at<cv::Vec3f>(y, x), beside = outer_sum.at<cv::Vec3f>(y, x);
+      Vec3 from, along, colour;
+      for (int c = 0; c < 3; ++c) {
+        from[c] = plate ? plate->at(x, y, c) : beside[c] / w_out;
+        along[c] = in[c] / w_in - from[c];
+        colour[c] = photograph.at(x, y, c) - from[c];
+      }
+      const double length2 = dot(along, along), brightness2 = dot(from, from) + dot(along + from, along + from);
+      if (!(length2 > 1e-3 * brightness2)) continue;  // object and background of one colour
+      const double share = std::clamp(dot(colour, along) / length2, 0.0, 1.0);
+      if (std::isfinite(share)) out.at(x, y) = static_cast<std::uint8_t>(std::lround(255 * share));
+    }
+  return out;
 }
 
 }  // namespace srf

@@ -56,7 +56,7 @@ class KeyedRandom {
   }
   std::uint64_t state_ = 0;
 };
-enum RandomStream : std::uint64_t { kNoiseStream = 1, kExposureStream, kMaskStream, kMissingStream };
+enum RandomStream : std::uint64_t { kNoiseStream = 1, kExposureStream, kMaskStream, kMissingStream, kRangeStream };
 
 Vec3 fibonacci(int i, int count, double turn) {
   const double z = 1 - (2.0 * i + 1) / count, r = std::sqrt(1 - z * z), a = kGoldenAngle * i + turn;
@@ -384,6 +384,7 @@ Json description(const SyntheticCaptureOptions& o) {
   json["fov"] = o.vfov, json["distance"] = o.distance;
   json["noise"] = o.noise, json["exposure"] = o.exposure, json["saturate"] = o.saturation,
   json["mask_error"] = o.mask_error, json["seed"] = o.seed;
+  json["range_views"] = o.range_views, json["range_noise"] = o.range_noise, json["range_outliers"] = o.range_outliers;
   return json;
 }
 
@@ -453,6 +454,40 @@ void writeView(const SyntheticCaptureOptions& options, const Photographer& photo
   }
 }
 
+// What a laser scanner sees from places all around: the true surface along each beam, noise, and beams that went
+// astray.
+void writeRangeViews(const SyntheticCaptureOptions& options, const SyntheticObject& object, const AcquisitionMesh& mesh,
+                     double radius, const fs::path& folder) {
+  constexpr double kGrazing = 0.17;  // cosine: beams that come in flatter than this give nothing
+  constexpr double kStray = 1.2;     // radii about the centre, within which stray points lie
+  const auto scene = RayScene<AcquisitionSpace>::ofTriangles(mesh.positions, mesh.triangles);
+  const double distance = 3 * radius;
+  Intrinsics lens = pinholeFromFov(options.size, options.size, 2 * degrees(std::asin(radius / distance)) * 1.05);
+  for (int v = 0; v < options.range_views; ++v) {
+    const Vec3 toward = fibonacci(v, options.range_views, 0.5);
+    const Vector<AcquisitionSpace> up =
+        std::fabs(toward.z) < 0.999 ? Vector<AcquisitionSpace>(0, 0, 1) : Vector<AcquisitionSpace>(0, 1, 0);
+    const Camera<AcquisitionSpace> scanner{
+        lens, *lookAt(Point<AcquisitionSpace>(distance * toward), Point<AcquisitionSpace>(), up)};
+    RangeView view;
+    view.sensor = scanner.center();
+    for (int y = 0; y < options.size; ++y)
+      for (int x = 0; x < options.size; ++x) {
+        const auto ray = scanner.ray({x + 0.5, y + 0.5});
+        const TriangleHit hit = scene.intersect(*ray);
+        if (!hit.hit()) continue;
+        const auto p = object.meet(*ray, hit.distance);
+        if (!p || -dot(ray->direction, object.normal(*p)) < kGrazing) continue;
+        KeyedRandom random{options.seed, kRangeStream, static_cast<std::uint64_t>(v),
+                           static_cast<std::uint64_t>(y) * options.size + x};
+        double along = length(*p - ray->origin) + options.range_noise * random.normal();
+        if (random.uniform() < options.range_outliers) along = distance + kStray * radius * (2 * random.uniform() - 1);
+        view.points.positions.push_back(ray->origin + along * ray->direction);
+      }
+    writeRangeView(folder / (numbered("", v, options.range_views) + ".ply"), view);
+  }
+}
+
 }  // namespace
 
 const std::vector<std::string>& syntheticRigNames() {
@@ -480,6 +515,9 @@ void SyntheticCaptureOptions::validate() const {
   require("saturate", saturation, 0, 1e6);
   require("mask-error", mask_error, 0, 100);
   require("missing", missing, 0, 1);
+  require("range-views", range_views, 0, 999);
+  require("range-noise", range_noise, 0, 1);
+  require("range-outliers", range_outliers, 0, 0.9);
   const std::string fault = SyntheticObject::faultOf(shape, material, interreflection);
   if (!fault.empty()) faults += (faults.empty() ? "" : "; ") + fault;
   if (!faults.empty()) throw Error(ErrorKind::usage, faults);
@@ -504,6 +542,11 @@ void writeSyntheticCapture(const SyntheticCaptureOptions& options, const fs::pat
     }
   }
   writePly(part.path() / "model.ply", mesh);
+  if (options.range_views > 0) {
+    std::error_code code;
+    fs::create_directory(part.path() / "ranges", code);
+    writeRangeViews(options, object, mesh, radius, part.path() / "ranges");
+  }
   writeJsonFile(part.path() / "synthetic.json", description(options));
   writeCapture(part.path(), capture);
   part.commit();

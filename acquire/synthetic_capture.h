@@ -26,25 +26,29 @@ struct SyntheticCaptureOptions {
   SyntheticRig rig = SyntheticRig::sphere;
   LightKind light_kind = LightKind::directional;  ///< or point: three radii from the centre
   int views = 48;
-  int lights = 48;         ///< seen by each view
-  int size = 128;          ///< pixels along the sides of a picture
-  int supersampling = 4;   ///< n x n samples a pixel, box filter
-  double vfov = 30;        ///< degrees
-  double distance = 0;     ///< camera to centre, units; 0: the object fills 80 % of the picture
-  double noise = 0;        ///< standard deviation at a white matt surface facing the light, as a share of its radiance
-  double exposure = 0;     ///< standard deviation of each photograph's gain, natural logarithm
-  double saturation = 0;   ///< photographs hold at most this radiance, as a full sensor does; 0: no bound
-  double missing = 0;      ///< share of the photographs that are left out, at random; none of a view's or light's last
-  double mask_error = 0;   ///< pixels: each view's mask is shifted by up to this and grown or shrunk by up to this
-  std::uint64_t seed = 1;  ///< of noise, gain, mask errors and missing photographs
+  int lights = 48;        ///< seen by each view
+  int size = 128;         ///< pixels along the sides of a picture
+  int supersampling = 4;  ///< n x n samples a pixel, box filter
+  double vfov = 30;       ///< degrees
+  double distance = 0;    ///< camera to centre, units; 0: the object fills 80 % of the picture
+  double noise = 0;       ///< standard deviation at a white matt surface facing the light, as a share of its radiance
+  double exposure = 0;    ///< standard deviation of each photograph's gain, natural logarithm
+  double saturation = 0;  ///< photographs hold at most this radiance, as a full sensor does; 0: no bound
+  double missing = 0;     ///< share of the photographs that are left out, at random; none of a view's or light's last
+  double mask_error = 0;  ///< pixels: each view's mask is shifted by up to this and grown or shrunk by up to this
+  int range_views = 0;    ///< range views of a laser scanner, besides the photographs; 0: none
+  double range_noise = 0.005;  ///< units, standard deviation along the beam
+  double range_outliers = 0;   ///< share of the points that lie anywhere along their beam
+  std::uint64_t seed = 1;      ///< of noise, gain, mask errors and missing photographs
 
   /// Throws a usage error that lists every value out of its range.
   void validate() const;
 };
 
 /// Writes transforms.json, images/VIEW/LIGHT.exr (radiance, premultiplied by coverage, half), masks/VIEW.png, model.ply
-/// (the true surface) and synthetic.json. A synthetic capture that is there already is replaced when the new one is
-/// whole; another folder that is not empty is refused. Same options, same bytes, for any thread count.
+/// (the true surface), ranges/NNN.ply (the range views, each with its sensor's place) and synthetic.json. A synthetic
+/// capture that is there already is replaced when the new one is whole; another folder that is not empty is refused.
+/// Same options, same bytes, for any thread count.
 void writeSyntheticCapture(const SyntheticCaptureOptions& options, const std::filesystem::path& folder,
                            Reporter& reporter);
 

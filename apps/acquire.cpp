@@ -5,6 +5,7 @@
 
 #include "acquire/acquire_field.h"
 #include "acquire/camera_import.h"
+#include "acquire/exact_hull.h"
 #include "apps/program.h"
 #include "base/error.h"
 
@@ -38,11 +39,24 @@ void printSummary(const srf::SrfManifest& manifest, const std::string& out, cons
   std::printf("  on disk      %.1f MB\n", static_cast<double>(bytesOnDisk(out)) / 1e6);
 }
 
+// '#rrggbb' to 0..1.
+srf::Vec3 colourOf(const std::string& text) {
+  unsigned value = 0;
+  int used = 0;
+  if (text.size() != 7 || std::sscanf(text.c_str(), "#%6x%n", &value, &used) != 1 || used != 7)
+    throw srf::Error(srf::ErrorKind::usage, "found '" + text + "', expected auto or a colour such as '#00b140'",
+                     "--chroma-key");
+  return {(value >> 16 & 255) / 255.0, (value >> 8 & 255) / 255.0, (value & 255) / 255.0};
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
-  srf::Program program("acquire", "Capture to SRF: silhouettes, visual hull, registered views.");
-  std::string capture, out;
+  srf::Program program("acquire", "Capture to SRF: silhouettes, visual hull, registered views.",
+                       "GPL-3.0-or-later (links CGAL)");
+  std::string capture, out, clean_plate, chroma_key, polarity = "auto", hull_kind = "carved", mask_pictures;
+  srf::ExactHullOptions exact;
+  bool grab_cut = false, mend = false;
   srf::AcquireOptions options;
   std::vector<double> bounds;
   double threshold = 0;
@@ -67,6 +81,28 @@ int main(int argc, char** argv) {
       app.add_option("--background-threshold", threshold,
                      "values above this (0 to 1, as encoded in the file) are the object where no mask tells")
           ->check(CLI::Range(0.0, 1.0));
+  CLI::Option* plate_option = app.add_option(
+      "--clean-plate", clean_plate,
+      "masks from the difference to pictures without the object: a file, or a folder with one for each photograph");
+  CLI::Option* key_option =
+      app.add_option("--chroma-key", chroma_key, "masks from a screen of one colour: '#rrggbb', or auto")
+          ->excludes(plate_option);
+  app.add_flag("--grabcut", grab_cut, "masks by GrabCut, from the bounds and the hull of the other views")
+      ->excludes(plate_option)
+      ->excludes(key_option);
+  app.add_flag("--mend-masks", mend, "fill gaps of masks, and cut what is beside them, by the hull of the other views");
+  app.add_option("--mask-polarity", polarity, "what is the object in mask files: auto, white or black")
+      ->check(CLI::IsMember({"auto", "white", "black"}))
+      ->capture_default_str();
+  app.add_option("--mask-pictures", mask_pictures, "write a picture of each view's mask, and all on a sheet, here")
+      ->type_name("DIR");
+  app.add_option("--hull", hull_kind, "carved on a grid, or the exact intersection of the silhouettes' cones")
+      ->check(CLI::IsMember({"carved", "exact"}))
+      ->capture_default_str();
+  app.add_option("--contour-tolerance", exact.tolerance,
+                 "of --hull exact: pixels that its contours may be simplified by")
+      ->check(CLI::Range(0.0, 100.0))
+      ->capture_default_str();
   app.add_flag("--no-hull", no_hull, "carve no hull: the shape will come from elsewhere");
   app.add_option(
          "--compression", options.coding.compression,
@@ -86,6 +122,21 @@ int main(int argc, char** argv) {
     options.memory_bytes = program.memoryBudget();
     options.command = program.commandLine();
     if (threshold_option->count() > 0) options.silhouette.background_threshold = threshold;
+    using Source = srf::SilhouetteSource;
+    if (!clean_plate.empty()) options.silhouette.source = Source::clean_plate;
+    if (!chroma_key.empty()) options.silhouette.source = Source::chroma_key;
+    if (grab_cut) options.silhouette.source = Source::grab_cut;
+    options.silhouette.clean_plate = clean_plate;
+    if (!chroma_key.empty() && chroma_key != "auto") options.silhouette.key = colourOf(chroma_key);
+    options.silhouette.mend = mend;
+    options.silhouette.polarity = polarity == "auto"    ? srf::MaskPolarity::automatic
+                                  : polarity == "white" ? srf::MaskPolarity::white_is_object
+                                                        : srf::MaskPolarity::black_is_object;
+    options.mask_pictures = mask_pictures;
+    if (hull_kind == "exact")
+      options.refine_hull = [&](const auto& views, const srf::VisualHull& carved, srf::Reporter& told) {
+        return srf::exactVisualHull(views, carved, exact, told);
+      };
     srf::Capture input = srf::openCapture(capture, reporter);
     if (!bounds.empty()) {
       const srf::Box<srf::AcquisitionSpace> box{{bounds[0], bounds[1], bounds[2]}, {bounds[3], bounds[4], bounds[5]}};

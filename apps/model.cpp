@@ -45,8 +45,10 @@ int main(int argc, char** argv) {
   app.add_option("--kind", kind, "mesh (triangles) or surfels (elliptical splats)")
       ->check(CLI::IsMember({"mesh", "surfels"}))
       ->capture_default_str();
-  app.add_option("--shape", shape,
-                 "hull, a PLY, OBJ or glTF file (mesh or points), sphere, box, cylinder, plane or torus")
+  app.add_option(
+         "--shape", shape,
+         "hull, a PLY, OBJ or glTF file (mesh or points), a folder of range views (PLY), sphere, box, cylinder, plane "
+         "or torus")
       ->capture_default_str();
   app.add_option("--surfels", options.surfels, "about how many surfels; 0: one pixel each, 20000 to 400000")
       ->capture_default_str();

@@ -156,7 +156,10 @@ int run(int argc, char** argv) {
       app.add_option("--saturate", capture.saturation, "most radiance that a photograph holds; 0: no bound"),
       app.add_option("--missing", capture.missing, "share of the photographs left out at random, e.g. 0.2"),
       app.add_option("--mask-error", capture.mask_error, "error of the masks, pixels"),
-      app.add_option("--seed", capture.seed, "of noise, exposure, mask errors and missing photographs")};
+      app.add_option("--range-views", capture.range_views, "range views of a laser scanner besides the photographs"),
+      app.add_option("--range-noise", capture.range_noise, "of range views: units along the beam, standard deviation"),
+      app.add_option("--range-outliers", capture.range_outliers, "of range views: share of stray points, e.g. 0.05"),
+      app.add_option("--seed", capture.seed, "of noise, exposure, mask errors, missing photographs and ranges")};
 
   ReferenceJob job;
   CLI::Option* reference = app.add_option("--reference", job.scene, "scene.json: render its exact picture instead");

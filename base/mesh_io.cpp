@@ -100,6 +100,8 @@ class PlyReader {
         readVertices(element, mesh);
       } else if (element.name == "face" || element.name == "tristrips") {
         readFaces(element, mesh);
+      } else if (element.name == "camera" && element.count == 1) {
+        readSensor(element);
       } else if (!element.properties.empty()) {
         readRows(
             element, [](std::size_t, double) {}, [] {});
@@ -114,8 +116,23 @@ class PlyReader {
     setNormals(mesh, normals_);
     return mesh;
   }
+  const std::optional<Point<AcquisitionSpace>>& sensor() const { return sensor_; }
 
  private:
+  void readSensor(const PlyElement& element) {
+    constexpr std::string_view kNames[3] = {"view_px", "view_py", "view_pz"};
+    double values[3] = {NAN, NAN, NAN};
+    readRows(
+        element,
+        [&](std::size_t k, double v) {
+          for (int i = 0; i < 3; ++i)
+            if (element.properties[k].name == kNames[i]) values[i] = v;
+        },
+        [] {});
+    const Point<AcquisitionSpace> place(values[0], values[1], values[2]);
+    if (isFinite(place)) sensor_ = place;
+  }
+
   void readHeader() {
     bool has_format = false;
     nextLine();  // "ply"
@@ -301,6 +318,7 @@ class PlyReader {
   std::vector<Normal> normals_;
   const PlyElement* element_ = nullptr;
   std::uint64_t row_ = 0;
+  std::optional<Point<AcquisitionSpace>> sensor_;
 };
 
 // --- OBJ ---------------------------------------------------------------------------------------------------------
@@ -403,6 +421,31 @@ AcquisitionMesh readMesh(const std::filesystem::path& file) {
   if (extension == ".obj") return ObjReader(file, content).read();
   if (extension == ".ply") throw badInput(file.string(), "does not begin with \"ply\"; it is damaged or no PLY file");
   throw badInput(file.string(), "is no mesh that is read here; expected a PLY or an OBJ file");
+}
+
+RangeView readRangeView(const std::filesystem::path& file) {
+  const std::string content = readTextFile(file);
+  if (!content.starts_with("ply\n") && !content.starts_with("ply\r")) return {readMesh(file), std::nullopt};
+  PlyReader reader(file, content);
+  RangeView view{reader.read(), std::nullopt};
+  view.sensor = reader.sensor();
+  return view;
+}
+
+void writeRangeView(const std::filesystem::path& file, const RangeView& view) {
+  std::string header = "ply\nformat binary_little_endian 1.0\nelement vertex " +
+                       std::to_string(view.points.positions.size()) +
+                       "\nproperty double x\nproperty double y\nproperty double z\n";
+  if (view.sensor)
+    header += "element camera 1\nproperty double view_px\nproperty double view_py\nproperty double view_pz\n";
+  header += "end_header\n";
+  std::vector<char> bytes(header.begin(), header.end());
+  std::vector<Point<AcquisitionSpace>> all = view.points.positions;
+  if (view.sensor) all.push_back(*view.sensor);
+  for (const auto& p : all) put(bytes, &p.raw(), 3 * sizeof(double));
+  PartialFile out(file);
+  out.write(bytes.data(), bytes.size());
+  out.commit();
 }
 
 void writePly(const std::filesystem::path& file, const AcquisitionMesh& mesh, const PlyColumns& extra) {
