@@ -286,13 +286,17 @@ TEST(Board, ReadsWhatItWrites) {
     EXPECT_NE(complaint([&] { parseBoard(text); }), "") << text;
 }
 
+Intrinsics pinhole() {
+  return {CameraModel::pinhole, 640, 480, 610, 605, 331, 236};
+}
+
 /// Picture of rectangles on a plane, 0.1 mm a texel, photographed by a camera.
 Image8 photographed(const cv::Mat& texture, double width, double height, const Intrinsics& lens,
                     const BoardPose& pose) {
   Image8 out(lens.width, lens.height, 1);
   const Mat3 back = pose.rotation.transposed();
   const Vec3 center = -(back * pose.translation);
-  constexpr int kSub = 3;
+  constexpr int kSub = 2;
   for (int y = 0; y < lens.height; ++y)
     for (int x = 0; x < lens.width; ++x) {
       double sum = 0;
@@ -324,20 +328,20 @@ cv::Mat textureOf(const Board& board) {
 }
 
 TEST(Board, ThePrintedBoardsAreFoundWhereTheyAre) {
-  for (const char* name : {"charuco:7x5:28mm:21mm:4X4_50", "6x4:28mm", "charuco:5x7:20mm:15mm:5X5_100"}) {
+  for (const char* name : {"charuco:7x5:28mm:21mm:4X4_50", "7x4:25mm", "charuco:5x7:20mm:15mm:5X5_100"}) {
     SCOPED_TRACE(name);
     const Board board = parseBoard(name);
     const BoardPose pose{
         rotationAbout({0, 1, 0}, 0.3) * rotationAbout({0, 0, 1}, 2.5) * rotationAbout({1, 0, 0}, kPi - 0.3),
         {0.01, -0.005, 0.36}};
     const Image8 picture = photographed(textureOf(board), board.squareColumns() * board.square,
-                                        board.squareRows() * board.square, someLens(), pose);
+                                        board.squareRows() * board.square, pinhole(), pose);
     const auto found = findBoard(board, picture, "picture");
     ASSERT_TRUE(found);
     EXPECT_EQ(static_cast<int>(found->ids.size()), board.cornerCount());
     double squares = 0;
     for (std::size_t i = 0; i < found->ids.size(); ++i) {
-      const auto p = someLens().project(Point<CameraSpace>(pose * board.corner(found->ids[i], 0.001).raw()));
+      const auto p = pinhole().project(Point<CameraSpace>(pose * board.corner(found->ids[i], 0.001).raw()));
       squares += square(found->pixels[i].x - p->x) + square(found->pixels[i].y - p->y);
     }
     EXPECT_LT(std::sqrt(squares / static_cast<double>(found->ids.size())), 0.15);  // pixels
@@ -361,12 +365,12 @@ TEST(Board, ACharucoBoardOfTheOldLayoutIsExplained) {
         marker.copyTo(texture(cv::Rect(column * 240 + 30, row * 240 + 30, 180, 180)));
       }
   const BoardPose pose{rotationAbout({1, 0, 0}, kPi - 0.2), {0, 0, 0.3}};
-  const Image8 old = photographed(texture, 120, 144, someLens(), pose);
+  const Image8 old = photographed(texture, 120, 144, pinhole(), pose);
   const std::string said = complaint([&] { findBoard(board, old, "old.jpg"); });
   for (const char* part : {"old.jpg", "OpenCV before 4.6", "odd number of rows", "--print-board"})
     EXPECT_TRUE(holds(said, part)) << said;
   // The layout of 4.6 itself is read.
-  const Image8 fresh = photographed(textureOf(board), 120, 144, someLens(), pose);
+  const Image8 fresh = photographed(textureOf(board), 120, 144, pinhole(), pose);
   EXPECT_TRUE(findBoard(board, fresh, "new.jpg"));
 }
 
@@ -414,7 +418,7 @@ TEST(Board, EveryChessboardPhotographIsFoundAndTheErrorsAreOpenCvs) {
     const double theirs = cv::calibrateCamera(object, image, {640, 480}, matrix, coefficients, rvecs, tvecs);
     EXPECT_LE(found.rms, bar);
     EXPECT_NEAR(found.rms, theirs, 1e-3 * theirs);
-    EXPECT_LE(found.rms, theirs * (1 + 1e-6));
+    EXPECT_LE(found.rms, theirs * (1 + 1e-5));  // its corners are floats
     EXPECT_NEAR(found.cameras[0].lens.fl_x, matrix.at<double>(0, 0), 0.5);
     EXPECT_NEAR(found.cameras[0].lens.cx, matrix.at<double>(0, 2) + 0.5, 0.5);
     RecordProperty(std::string(camera) + "_rms", std::to_string(found.rms));
