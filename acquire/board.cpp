@@ -101,7 +101,8 @@ std::optional<BoardCorners> findCharuco(const Board& board, const cv::Mat& grey,
   if (board.rows % 2 == 0) {
     const double now = shareThatFits(board, markerSquares(board, false), markers, ids),
                  before = shareThatFits(board, markerSquares(board, true), markers, ids);
-    if (before > 0.7 && before > now + 0.2)
+    // Of an odd number of columns n all but one of n markers fit the wrong layout too, moved by a square.
+    if (before > 0.7 && before > now + 0.4 / board.columns)
       throw badInput(file.string(),
                      "the ChArUco board has a marker in its top left square: with an even number of rows (" +
                          std::to_string(board.rows) +
@@ -115,7 +116,7 @@ std::optional<BoardCorners> findCharuco(const Board& board, const cv::Mat& grey,
   for (int i = 0; i < found_ids.rows; ++i) {
     corners.ids.push_back(found_ids.at<int>(i));
     const auto p = found.at<cv::Point2f>(i);
-    corners.pixels.push_back({p.x + 0.5, p.y + 0.5});
+    corners.pixels.push_back({p.x, p.y});  // unlike chessboards' these count from the first pixel's corner already
   }
   return corners;
 }

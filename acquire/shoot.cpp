@@ -23,16 +23,16 @@ struct Pattern {
 Pattern parsePattern(const std::string& text) {
   const auto wrong = [&](const std::string& what) {
     return Error(ErrorKind::usage,
-                 what + "; expected a path like \"v{view}/l{light}_{exposure}.jpg\" with {camera}, {view}, "
-                        "{light} and {exposure} at most once each",
+                 what +
+                     "; expected a path like \"v{view}/l{light}_{exposure}.jpg\" with {camera}, {view}, "
+                     "{light} and {exposure} at most once each",
                  "pattern \"" + text + "\"");
   };
   if (text.empty()) throw wrong("is empty");
-  static const std::map<std::string, std::string ShootPhoto::*> kFields{
-      {"view", &ShootPhoto::view},
-      {"light", &ShootPhoto::light},
-      {"exposure", &ShootPhoto::exposure},
-      {"camera", &ShootPhoto::camera}};
+  static const std::map<std::string, std::string ShootPhoto::*> kFields{{"view", &ShootPhoto::view},
+                                                                        {"light", &ShootPhoto::light},
+                                                                        {"exposure", &ShootPhoto::exposure},
+                                                                        {"camera", &ShootPhoto::camera}};
   Pattern pattern;
   std::string expression;
   for (std::size_t i = 0; i < text.size(); ++i) {
@@ -48,7 +48,8 @@ Pattern parsePattern(const std::string& text) {
       expression += "([^/]+?)";
       i = end;
     } else if (c == '*') {
-      expression += "[^/]*";
+      // The format after the last dot: what stands before it may hold dots, as times of day do.
+      expression += i + 1 == text.size() && i > 0 && text[i - 1] == '.' ? "[^/.]*" : "[^/]*";
     } else {
       if (!std::isalnum(static_cast<unsigned char>(c)) && static_cast<unsigned char>(c) < 0x80) expression += '\\';
       expression += c;

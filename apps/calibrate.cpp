@@ -11,6 +11,7 @@
 #include "acquire/camera_calibration.h"
 #include "acquire/camera_import.h"
 #include "acquire/shoot.h"
+#include "acquire/structure_from_motion.h"
 #include "apps/calibrate_lights.h"
 #include "apps/program.h"
 #include "base/error.h"
@@ -29,7 +30,10 @@ struct Job {
   std::string pattern, board_pattern, board, units = "m", world;
   std::vector<std::string> cameras, leave_out;
   CameraModel lens = CameraModel::opencv;
-  bool rig = false, turntable = false, copy = false;
+  bool rig = false, turntable = false, copy = false, sfm = false, lens_given = false;
+  fs::path colmap_model, masks, points;
+  std::vector<std::string> distance;  ///< two photographs and the distance between them
+  int features = 8192, largest_side = 3200;
   bool developed = false;  ///< the photographs lie in the capture already, as linear images
   std::optional<double> step;  ///< degrees
 };
@@ -546,6 +550,143 @@ void calibrateByBoard(const Job& job, LightsAndImages& studio, Reporter& reporte
   finish(job, studio, views, photos, reporter);
 }
 
+/// The only lens of a capture.
+Intrinsics oneLens(const fs::path& file) {
+  const Capture known = readCapture(file);
+  for (const CaptureView& view : known.views)
+    if (!(view.camera.lens == known.views.front().camera.lens))
+      throw badInput(file.string(), "has views of different lenses; structure from motion takes one");
+  return known.views.front().camera.lens;
+}
+
+const CaptureView& viewNamed(const Capture& capture, const std::string& name, const std::string& where) {
+  const CaptureView* found = nullptr;
+  for (const CaptureView& view : capture.views) {
+    const fs::path& file = view.photos.at(0).file;
+    if (view.name != name && file.filename() != name && file.stem() != name) continue;
+    if (found) throw usage(where + ": '" + name + "' names more than one photograph");
+    found = &view;
+  }
+  if (!found) throw usage(where + ": no registered photograph is named '" + name + "'");
+  return *found;
+}
+
+/// A place marked in photographs: {"a.jpg": [x, y], "b.jpg": [x, y]}.
+Triangulated markedPoint(const Capture& capture, const JsonNode& marks) {
+  std::vector<Ray<AcquisitionSpace>> rays;
+  for (const auto& [name, pixel] : marks.raw().items()) {
+    const std::vector<double> xy = marks[name].numbers(2);
+    const auto ray = viewNamed(capture, name, marks.where()).camera.ray({xy[0], xy[1]});
+    if (!ray) throw marks[name].error("lies where the lens shows nothing");
+    rays.push_back(*ray);
+  }
+  const auto point = triangulate(rays);
+  if (!point) throw marks.error("is not marked in two photographs from different places");
+  return *point;
+}
+
+/// The scale that structure from motion cannot know: from a board in the photographs, two photographs or two places.
+void setScale(const Job& job, Capture& capture, Reporter& reporter) {
+  if (!job.board.empty() && job.board_photos.empty()) {
+    const Board board = parseBoard(job.board);
+    std::vector<std::optional<BoardCorners>> seen(capture.views.size());
+    Reporter::Stage stage(reporter, "boards", seen.size());
+    parallelFor(seen.size(), 1, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) {
+        const fs::path& file = capture.views[i].photos.at(0).file;
+        seen[i] = findBoard(board, greyPhotograph(file), file);
+        stage.advance();
+      }
+    });
+    const BoardAlignment fit = alignWithBoard(capture, board, 1 / unitInMillimetres(job.units), seen);
+    applySimilarity(capture, fit.similarity);
+    reporter.result(text("scale and acquisition space by the board: %zu corners, %.3g %s off in the root mean square",
+                         fit.corners, fit.residual, job.units.c_str()));
+    return;
+  }
+  Similarity similarity;
+  if (!job.distance.empty()) {
+    double wanted = 0;
+    try {
+      wanted = std::stod(job.distance[2]);
+    } catch (const std::exception&) {}
+    const double found = distance(viewNamed(capture, job.distance[0], "--distance").camera.center(),
+                                  viewNamed(capture, job.distance[1], "--distance").camera.center());
+    if (!(wanted > 0) || !std::isfinite(wanted)) throw usage("--distance: '" + job.distance[2] + "' is no length");
+    if (!(found > 0)) throw usage("--distance: both photographs were taken from one place");
+    similarity.scale = wanted / found;
+  } else if (!job.points.empty()) {
+    const JsonNode root = readJsonFile(job.points);
+    root.onlyKeys({"distance", "a", "b"});
+    const Triangulated a = markedPoint(capture, root["a"]), b = markedPoint(capture, root["b"]);
+    const double found = distance(a.point, b.point);
+    if (!(found > 0)) throw root.error("marks one place twice");
+    similarity.scale = root["distance"].positiveNumber() / found;
+    reporter.result(text("places to scale by: their rays pass by at %.3g and %.3g %s", similarity.scale * a.distance,
+                         similarity.scale * b.distance, job.units.c_str()));
+  } else {
+    capture.units = "unknown";
+    reporter.warn(
+        "nothing sets the scale: the capture's units are unknown; give --board with a board in the "
+        "photographs, --distance A B LENGTH or --points");
+    return;
+  }
+  applySimilarity(capture, similarity);
+  reporter.result(text("scale: %.6g %s for each unit of COLMAP's", similarity.scale, job.units.c_str()));
+}
+
+void calibrateByFeatures(const Job& job, Reporter& reporter) {
+  fs::path model = job.colmap_model;
+  std::set<std::string> left_out;
+  std::vector<ShootPhoto> photos;
+  if (job.sfm) {
+    photos = photographs(job, job.photos, job.pattern, left_out);
+    StructureFromMotionOptions options;
+    options.photos = job.photos;
+    for (const ShootPhoto& photo : photos) {
+      options.names.push_back(photo.file.lexically_relative(job.photos).generic_string());
+      options.cameras.push_back(photo.camera);
+    }
+    options.masks = job.masks;
+    options.workspace = job.output / "colmap";
+    options.lens = job.lens_given ? job.lens : CameraModel::simple_radial;
+    options.most_features = job.features;
+    options.largest_side = job.largest_side;
+    if (!job.lens_from.empty()) options.known_lens = oneLens(job.lens_from);
+    if (!job.board_photos.empty()) {
+      const std::vector<ShootPhoto> of_board = photographs(job, job.board_photos, job.board_pattern, left_out);
+      Job lens_job = job;
+      if (!job.lens_given) lens_job.lens = CameraModel::simple_radial;
+      Sightings sightings = findBoards(lens_job, parseBoard(job.board), job.board_photos, of_board, false, reporter);
+      if (sightings.input.cameras.size() > 1)
+        throw usage("--sfm with --board-photos takes one camera's lens, the board's photographs are of several");
+      const BoardCalibration found = calibrateWithBoard(sightings.input);
+      tell(sightings.input, found, job.units, reporter);
+      writeReport(job, sightings.input, found, sightings.without, reporter);
+      options.known_lens = found.cameras[0].lens;
+    }
+    model = runStructureFromMotion(options, reporter);
+  }
+  Capture capture = readColmap(model, job.photos, reporter);
+  capture.folder = job.output;
+  capture.units = job.units;
+  std::erase_if(capture.views, [&](const CaptureView& view) {
+    const fs::path& file = view.photos[0].file;
+    return std::any_of(job.leave_out.begin(), job.leave_out.end(), [&](const std::string& name) {
+      return file.filename() == name || file.stem() == name || file.lexically_relative(job.photos) == name;
+    });
+  });
+  if (capture.views.empty()) throw badInput(model.string(), "no view is left; name fewer with --leave-out");
+  for (CaptureView& view : capture.views) {
+    if (job.masks.empty()) break;
+    const fs::path name = view.photos[0].file.lexically_relative(job.photos);
+    for (const fs::path& mask : {fs::path(job.masks / name) += ".png", (job.masks / name).replace_extension(".png")})
+      if (std::error_code code; view.mask_file.empty() && fs::is_regular_file(mask, code)) view.mask_file = mask;
+  }
+  setScale(job, capture, reporter);
+  writeResult(job, job.photos, capture, reporter);
+}
+
 int run(int argc, char** argv) {
   Program program("calibrate",
                   "From photographs to a capture: cameras (lens and pose) and lights. doc/calibration.md "
@@ -577,11 +718,24 @@ int run(int argc, char** argv) {
                                                           {"simple_radial", CameraModel::simple_radial},
                                                           {"opencv", CameraModel::opencv}};
   app.add_option_function<std::string>(
-         "--lens", [&](const std::string& word) { job.lens = kLenses.at(word); },
+         "--lens", [&](const std::string& word) { job.lens = kLenses.at(word), job.lens_given = true; },
          "lens to fit: pinhole, simple_radial (k1) or opencv (k1 k2 p1 p2 k3)")
       ->check(CLI::IsMember({"pinhole", "simple_radial", "opencv"}))
       ->default_str("opencv");
   app.add_option("--lens-from", job.lens_from, "capture whose lenses are held in place of fitting them");
+  CLI::Option* sfm = app.add_flag("--sfm", job.sfm, "structure from motion: COLMAP finds the cameras by features");
+  app.add_option("--colmap", job.colmap_model, "folder of a COLMAP model of PHOTOS (cameras, images: .bin or .txt)")
+      ->excludes(sfm);
+  app.add_option("--masks", job.masks, "sfm: folder of masks, name.jpg.png or name.png; black has no features");
+  app.add_option("--distance", job.distance, "scale by two photographs and the distance of their cameras: A B LENGTH")
+      ->expected(3)
+      ->type_name("A B LENGTH");
+  app.add_option("--points", job.points,
+                 "scale by two places marked in photographs: JSON {\"distance\": d, \"a\": {\"1.jpg\": [x, y], ..}, "
+                 "\"b\": ..}");
+  app.add_option("--features", job.features, "sfm: most features of a photograph")->check(CLI::Range(256, 65536));
+  app.add_option("--largest-side", job.largest_side, "sfm: larger photographs are searched at this size, pixels")
+      ->check(CLI::Range(128, 65536));
   app.add_option(
       "--lights", job.lights,
       "JSON file with a list \"lights\" as in transforms.json, in acquisition space at a turntable's stop 0");
@@ -602,11 +756,21 @@ int run(int argc, char** argv) {
     }
     if (job.photos.empty()) throw usage("no folder of photographs is given; see --help");
     if (job.output.empty()) throw usage("-o names the folder of the capture; it is missing");
-    if (job.board.empty() != studio.oneView()) throw usage("one way is to be given: --board or --one-view; see --help");
+    const bool by_features = job.sfm || !job.colmap_model.empty();
+    if (by_features ? studio.oneView() : job.board.empty() != studio.oneView())
+      throw usage("one way is to be given: --board, --sfm, --colmap or --one-view; see --help");
     studio.validate();
+    if (by_features && (job.rig || job.turntable || !job.lights.empty() || studio.develops() || studio.findsLights()))
+      throw usage("--rig, --turntable, lights and --develop need --board or --one-view");
+    if (job.board.empty() && !job.board_photos.empty()) throw usage("--board-photos needs --board");
+    if (!job.colmap_model.empty() && (!job.board_photos.empty() || !job.lens_from.empty()))
+      throw usage("--colmap takes its lenses from the model: leave out --board-photos and --lens-from");
+    if (!by_features && (!job.distance.empty() || !job.points.empty() || !job.masks.empty()))
+      throw usage("--distance, --points and --masks need --sfm or --colmap");
     if (job.step && !job.turntable) throw usage("--step needs --turntable");
     if (job.rig && job.turntable)
       throw usage("--rig and --turntable exclude each other: a turntable's cameras are a rig");
+    if (by_features) return calibrateByFeatures(job, reporter);
     studio.oneView() ? calibrateOneView(job, studio, reporter) : calibrateByBoard(job, studio, reporter);
   });
 }
