@@ -1,10 +1,13 @@
-// `srf explain`: how a pixel of a frame comes about: the chain (p*, l*, v*) to (p, l, v) with every number in between.
+// `srf explain`: what a scene calls for and what each part of it costs; with --pixel how a pixel comes about: the chain
+// (p*, l*, v*) to (p, l, v) with every number in between.
 #include <algorithm>
 #include <cmath>
 #include <cstdarg>
 #include <cstdio>
 #include <cstdlib>
+#include <nlohmann/json.hpp>
 
+#include "apps/explain_plan.h"
 #include "apps/program.h"
 #include "base/numeric.h"
 #include "render/animation.h"
@@ -183,23 +186,36 @@ std::pair<int, int> parsePixel(const std::string& word) {
 
 int main(int argc, char** argv) {
   using namespace srf;
-  Program program("explain", "Prints how a pixel of a frame comes about, with every number in between.");
+  Program program("explain",
+                  "Tells which effects a scene calls for, why, and what each costs; with --pixel how a pixel "
+                  "comes about, with every number in between.");
   std::string scene_file, pixel;
   std::vector<std::string> overrides;
   std::optional<int> frame;
+  bool json = false;
   AnimationOptions options;
   CLI::App& app = program.app();
   app.add_option("scene", scene_file, "scene.json")->required();
-  app.add_option("--pixel", pixel, "x,y: column and row from the top left")->required();
+  app.add_option("--pixel", pixel, "x,y, column and row from the top left: how this pixel comes about");
+  app.add_flag("--json", json, "the plan as JSON");
   app.add_option("--srf", options.srf, "the field, X.srf; default: the scene's");
   app.add_option("--frame", frame, "default: the scene's first");
   app.add_option("--set", overrides, "/json/pointer=value: changes the scene; may be repeated")
       ->allow_extra_args(false);
   return program.run(argc, argv, [&](Reporter& reporter) {
     options.memory_bytes = program.memoryBudget();
-    const auto [x, y] = parsePixel(pixel);
     const Scene scene = readScene(scene_file, overrides, reporter);
     const int number = frame.value_or(scene.frames.empty() ? 0 : scene.frames.front());
+    if (pixel.empty()) {
+      const Json plan = planOfFrame(scene, options, number, reporter);
+      if (json) {
+        std::puts(plan.dump(2).c_str());
+      } else {
+        printPlan(plan);
+      }
+      return;
+    }
+    const auto [x, y] = parsePixel(pixel);
     const ExplainedFrame explained = explainPixel(scene, options, number, x, y, reporter);
     const PixelExplanation& why = explained.pixel;
     std::printf("pixel (%d, %d) of frame %d: %d samples, %zu met the model\n", x, y, number, why.samples,

@@ -24,7 +24,7 @@ constexpr Command kCommands[] = {
     {"acquire", "capture to SRF: silhouettes, visual hull, registered views"},
     {"model", "make the deformable model inside an SRF"},
     {"render", "render a scene to frames"},
-    {"explain", "how a pixel of a frame comes about, number by number"},
+    {"explain", "which effects a scene calls for, why, and what each costs; how a pixel comes about"},
     {"pipeline", "photographs to animation in one go, with a report"},
     {"info", "say what a file holds"},
     {"compare", "measure the difference of two images"},

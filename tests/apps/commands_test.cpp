@@ -564,6 +564,34 @@ TEST(Pipeline, ToleranceLetsAWrongViewBeOverruledAndCarvesAgain) {
   EXPECT_GT(hullVolume("1"), 1.01 * strict);  // the largest shape that all but any one view allow
 }
 
+// What is on is on because of a key; what is off was not done.
+TEST(Explain, PlanTellsWhatTheSceneCallsFor) {
+  const auto row = [](const Json& plan, const std::string& name) {
+    for (const Json& each : plan["plan"])
+      if (each["name"] == name) return each;
+    ADD_FAILURE() << "no '" << name << "'";
+    return Json{};
+  };
+  const Outcome bare = run({"explain", sample().scene, "--json"});
+  ASSERT_EQ(bare.code, 0) << bare.err;
+  const Json without = Json::parse(bare.out);
+  for (const char* name :
+       {"ground", "motion blur", "depth of field", "matte", "environments", "one orientation for all hits"})
+    EXPECT_FALSE(row(without, name)["on"].get<bool>()) << name;
+  EXPECT_TRUE(row(without, "deformation")["on"].get<bool>());
+  const Outcome asked = run({"explain", sample().scene, "--json", "--set", "/deformation=[]", "--set",
+                             R"(/effects={"ground": {"height": -1}, "motion_blur": {"shutter": 1, "samples": 2}})"});
+  ASSERT_EQ(asked.code, 0) << asked.err;
+  const Json with = Json::parse(asked.out);
+  EXPECT_TRUE(row(with, "ground")["on"].get<bool>());
+  EXPECT_EQ(row(with, "ground")["because"], "/effects/ground");
+  EXPECT_EQ(row(with, "motion blur")["expected"], "2 pictures for this frame");
+  EXPECT_TRUE(row(with, "one orientation for all hits")["on"].get<bool>());
+  EXPECT_GT(with["seconds"]["ground"].get<double>(), 0);
+  EXPECT_FALSE(without["seconds"].contains("ground"));
+  EXPECT_EQ(run({"explain", sample().scene}).code, 0);
+}
+
 // ---- Effects -------------------------------------------------------------------------------------------------------
 
 // Each effect against the exact reference with the same effect on, which renders it by other means.
