@@ -31,8 +31,8 @@ namespace fs = std::filesystem;
 using Words = std::vector<std::string>;
 
 const std::string kSrf = std::string(SRF_PROGRAMS) + "/srf";
-const Words kCommands{"synth",  "calibrate", "check",    "acquire", "model",
-                      "render", "explain",   "pipeline", "info",    "compare"};
+const Words kCommands{"synth", "calibrate", "import",  "export",   "check", "acquire",
+                      "model", "render",    "explain", "pipeline", "info",  "compare"};
 
 struct Outcome {
   int code = -1;  ///< 128 + signal where one ended it
@@ -164,7 +164,7 @@ TEST(Commands, EachHasHelpAndVersion) {
     for (const char* option : {"--threads", "--memory", "--log-level", "--progress", "--stats"})
       EXPECT_NE(help.out.find(option), std::string::npos) << option;
     EXPECT_EQ(version.code, 0);
-    const bool links_cgal = command == "model" || command == "pipeline";
+    const bool links_cgal = command == "acquire" || command == "model" || command == "pipeline";
     EXPECT_NE(version.out.find(links_cgal ? "GPL-3.0-or-later" : "Apache-2.0"), std::string::npos) << version.out;
   }
 }
