@@ -1,8 +1,8 @@
 // `srf compare`: the difference of two images.
-#include <cmath>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "apps/heat_image.h"
 #include "apps/program.h"
 #include "base/error.h"
 #include "base/image_io.h"
@@ -11,20 +11,6 @@
 
 namespace srf {
 namespace {
-
-/// False colours of values 0..1: black, violet, red, orange, pale yellow.
-Image8 heatImage(const ImageF& map) {
-  static constexpr double kStops[5][3] = {{0, 0, 4}, {81, 18, 124}, {183, 55, 121}, {252, 137, 97}, {252, 253, 191}};
-  Image8 heat(map.width(), map.height(), 3);
-  for (int y = 0; y < map.height(); ++y)
-    for (int x = 0; x < map.width(); ++x) {
-      const double t = 4.0 * map.at(x, y);
-      const int i = std::min(3, static_cast<int>(t));
-      for (int c = 0; c < 3; ++c)
-        heat.at(x, y, c) = static_cast<std::uint8_t>(std::lround(std::lerp(kStops[i][c], kStops[i + 1][c], t - i)));
-    }
-  return heat;
-}
 
 void print(const ImageDifference& d) {
   const auto line = [](const char* name, const MetricFigures& f) {

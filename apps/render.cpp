@@ -3,12 +3,37 @@
 
 #include "apps/frame_lines.h"
 #include "apps/program.h"
+#include "apps/study_file.h"
+#include "base/error.h"
+#include "base/files.h"
 #include "render/animation.h"
+
+namespace {
+
+/// The keys of the study's setting that keeps the targets, before the user's own.
+std::vector<std::string> withQuality(const std::string& file, std::optional<double> error,
+                                     std::optional<double> seconds, const std::string& scene_file,
+                                     const std::vector<std::string>& own, srf::Reporter& reporter) {
+  using namespace srf;
+  const Study study = readStudy(file);
+  if (hexHash(readScene(scene_file, {}, reporter).content_hash) != study.scene_hash)
+    reporter.warn(file + ": is the study of another scene (" + study.scene +
+                  "), or of this one before it was changed: " + "its promises may not hold");
+  std::vector<std::string> overrides = overridesOf(chooseSetting(study, error, seconds, file).keys);
+  std::string text = file + ":";
+  for (const std::string& set : overrides) text += " " + set;
+  reporter.result(text);
+  overrides.insert(overrides.end(), own.begin(), own.end());
+  return overrides;
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
   using namespace srf;
   Program program("render", "Renders the frames of a scene: deforms the model, relights it, writes OpenEXR files.");
-  std::string scene_file, frames;
+  std::string scene_file, frames, quality;
+  std::optional<double> target_error, target_time;
   std::vector<std::string> overrides;
   AnimationOptions options;
   CLI::App& app = program.app();
@@ -21,11 +46,20 @@ int main(int argc, char** argv) {
   app.add_option("--aovs", options.layers,
                  "layers to add: P, P0, N, L, handedness, stretch, shear, fallback, overlap, V, Z, view, confidence")
       ->delimiter(',');
+  app.add_option("--quality", quality,
+                 "study.json of srf study: its setting that keeps the targets; --set wins over it");
+  app.add_option("--target-error", target_error, "with --quality: most mean relative error, e.g. 0.01; 0: all exact")
+      ->check(CLI::NonNegativeNumber);
+  app.add_option("--target-time", target_time, "with --quality: most seconds a frame, as the study measured them")
+      ->check(CLI::PositiveNumber);
   app.add_flag("--resume", options.resume, "keep frames that the same input and settings have finished");
   return program.run(argc, argv, [&](Reporter& reporter) {
     options.memory_bytes = program.memoryBudget();
     options.command = program.commandLine();
     if (!frames.empty()) options.frames = parseFrames(frames, "--frames");
+    if (quality.empty() != (!target_error && !target_time))
+      throw Error(ErrorKind::usage, "goes with --target-error or --target-time, and they with it", "--quality");
+    if (!quality.empty()) overrides = withQuality(quality, target_error, target_time, scene_file, overrides, reporter);
     const Scene scene = readScene(scene_file, overrides, reporter);
     options.finished = FrameLines(reporter);
     double seconds = 0;

@@ -25,6 +25,7 @@ constexpr Command kCommands[] = {
     {"model", "make the deformable model inside an SRF"},
     {"render", "render a scene to frames"},
     {"explain", "which effects a scene calls for, why, and what each costs; how a pixel comes about"},
+    {"study", "what accuracy costs in time on a scene, and the settings worth using"},
     {"pipeline", "photographs to animation in one go, with a report"},
     {"info", "say what a file holds"},
     {"compare", "measure the difference of two images"},

@@ -31,8 +31,8 @@ namespace fs = std::filesystem;
 using Words = std::vector<std::string>;
 
 const std::string kSrf = std::string(SRF_PROGRAMS) + "/srf";
-const Words kCommands{"synth", "calibrate", "import",  "export",   "check", "acquire",
-                      "model", "render",    "explain", "pipeline", "info",  "compare"};
+const Words kCommands{"synth",  "calibrate", "import", "export",   "check", "acquire", "model",
+                      "render", "explain",   "study",  "pipeline", "info",  "compare"};
 
 struct Outcome {
   int code = -1;  ///< 128 + signal where one ended it
@@ -590,6 +590,61 @@ TEST(Explain, PlanTellsWhatTheSceneCallsFor) {
   EXPECT_GT(with["seconds"]["ground"].get<double>(), 0);
   EXPECT_FALSE(without["seconds"].contains("ground"));
   EXPECT_EQ(run({"explain", sample().scene}).code, 0);
+}
+
+// ---- Study ---------------------------------------------------------------------------------------------------------
+
+TEST(Study, KeepsItsPromisesAndGoesOnWhereItEnded) {
+  test::TemporaryFolder folder;
+  Json scene = sample().sceneJson();
+  scene["frames"] = "0-8";
+  scene["camera"]["w"] = 48, scene["camera"]["h"] = 48;
+  scene["deformation"][0]["degrees_per_unit"] = {{"keys", {{0, 0}, {8, 60}}}};
+  scene["interpolation"] = "plain";
+  const fs::path file = folder / "scene.json", study = folder / "study";
+  writeJsonFile(file, scene);
+  const Words command{"study", file, "-o", study, "--budget", "60s", "--frames", "2"};
+  const Outcome first = run(command);
+  ASSERT_EQ(first.code, 0) << first.err;
+  const Json found = readJsonFile(study / "study.json").raw();
+  ASSERT_TRUE(found["complete"].get<bool>()) << first.out;
+  EXPECT_TRUE(fs::exists(study / "study.csv"));
+  const std::string page = slurp(study / "study.html");
+  EXPECT_NE(page.find("<svg"), std::string::npos);
+  EXPECT_EQ(page.find("<script src"), std::string::npos);
+  EXPECT_EQ(page.find("<link"), std::string::npos);
+  const Outcome again = run(command);
+  EXPECT_EQ(again.code, 0) << again.err;
+  EXPECT_NE(again.out.find(" 0 measured now"), std::string::npos) << again.out;
+
+  // A frame that the study did not look at, by the setting for 2 % and exactly.
+  const auto render = [&](const char* error, const char* name) {
+    const Outcome outcome = run({"render", file, "--frames", "7", "--quality", study / "study.json", "--target-error",
+                                 error, "-o", folder / (std::string(name) + ".####.exr")});
+    EXPECT_EQ(outcome.code, 0) << outcome.err;
+    return readImage(folder / (std::string(name) + ".0007.exr")).pixels;
+  };
+  const ImageF quick = render("0.02", "quick"), exact = render("0", "exact");
+  double peak = 0, sum = 0;
+  for (const float x : exact.data()) peak = std::max(peak, double{x});
+  std::size_t pixels = 0;
+  for (std::size_t i = 0; i < exact.data().size(); i += 4) {
+    if (exact.data()[i + 3] == 0 && quick.data()[i + 3] == 0) continue;
+    double most = 0, brightest = 0;
+    for (std::size_t c = 0; c < 3; ++c) {
+      most = std::max(most, std::fabs(double{quick.data()[i + c]} - exact.data()[i + c]));
+      brightest = std::max(brightest, double{exact.data()[i + c]});
+    }
+    sum += most / (brightest + peak / 100);
+    ++pixels;
+  }
+  ASSERT_GT(pixels, 100u);
+  EXPECT_LT(sum / static_cast<double>(pixels), 0.02 * 1.2);
+  expectMessage(run({"render", file, "--quality", study / "study.json", "-o", folder / "x.####.exr"}), 2,
+                {"--target-error"});
+  expectMessage(
+      run({"render", file, "--quality", study / "study.json", "--target-time", "1e-9", "-o", folder / "x.####.exr"}), 3,
+      {"study.json"});
 }
 
 // ---- Effects -------------------------------------------------------------------------------------------------------

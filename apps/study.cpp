@@ -1,0 +1,290 @@
+// `srf study`: what accuracy costs in time, on the user's own scene (M18).
+#include <algorithm>
+#include <chrono>
+#include <nlohmann/json.hpp>
+
+#include "apps/html.h"
+#include "apps/program.h"
+#include "apps/study_file.h"
+#include "apps/study_page.h"
+#include "apps/study_plan.h"
+#include "base/error.h"
+#include "base/files.h"
+#include "base/image_io.h"
+#include "field/srf_folder.h"
+#include "render/animation.h"
+
+namespace srf {
+namespace {
+
+namespace fs = std::filesystem;
+using html::format;
+
+constexpr int kPasses = 2;          // of a setting over the frames
+constexpr double kOneAtATime = 18;  // settings of about the exact one's cost; a planning figure
+
+/// "90", "90s", "10m", "1.5h" to seconds.
+double parseBudget(const std::string& text) {
+  std::size_t used = 0;
+  double value = 0;
+  try {
+    value = std::stod(text, &used);
+  } catch (const std::exception&) {
+    used = 0;
+  }
+  const std::map<std::string, double> units{{"", 1}, {"s", 1}, {"m", 60}, {"h", 3600}};
+  const auto unit = units.find(text.substr(used));
+  if (used == 0 || unit == units.end() || !(value > 0 && value < 1e6))
+    throw Error(ErrorKind::usage, "found '" + text + "', expected a time such as 90s, 10m or 1h", "--budget");
+  return value * unit->second;
+}
+
+std::string shortText(const SceneKeys& keys) {
+  std::string out;
+  for (const auto& [key, value] : keys) out += (out.empty() ? "" : " ") + key.substr(key.rfind('/') + 1) + "=" + value;
+  return out;
+}
+
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+struct Options {
+  std::string scene, output, reference;
+  fs::path srf;
+  double budget = 600;
+  int frames = 3;
+  std::size_t memory_bytes = 0;
+};
+
+class Studying {
+ public:
+  Studying(const Options& options, Reporter& reporter) : options_(options), reporter_(reporter) {}
+
+  void run() {
+    const Scene scene = readScene(options_.scene, {}, reporter_);
+    open(scene);
+    if (study_.exact.empty()) plan(scene);
+    study_.knobs = knobsOf(study_.exact, study_.own, options_.memory_bytes);
+    const bool whole = measureAll();
+    study_.complete = whole;
+    save();
+    keepFrontPictures();
+    writeTextFile(folder_ / "study.csv", studyTable(study_));
+    writeTextFile(folder_ / "study.html", studyPage(
+                                              study_, [&](const MeasuredSetting& m) { return picture(m); }, folder_));
+    reporter_.result((folder_ / "study.html").string() +
+                     format("  %zu settings, %zu measured now%s", study_.measured.size(), rendered_,
+                            whole ? "" : "; the budget ended it: run again to go on"));
+  }
+
+ private:
+  double elapsed() const { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count(); }
+  std::string pattern(const SceneKeys& keys, std::size_t memory = 0) const {
+    if (keys == study_.exact && !memory) return (folder_ / "frames" / "exact.####.exr").string();
+    std::string text = std::to_string(memory);
+    for (const std::string& set : overridesOf(keys)) text += " " + set;
+    return (folder_ / "frames" / (hexHash(contentHash(text.data(), text.size())) + ".####.exr")).string();
+  }
+  int middleFrame() const { return study_.frames[study_.frames.size() / 2]; }
+  ImageF picture(const MeasuredSetting& m) const {
+    const fs::path file = frameFile(pattern(m.keys, m.memory_bytes), middleFrame());
+    return fs::exists(file) ? readImage(file).pixels : ImageF();
+  }
+  void save() const { writeStudy(folder_ / "study.json", study_); }
+
+  /// The frames to look at, and what an earlier run has measured of the same input.
+  void open(const Scene& scene) {
+    const fs::path srf = options_.srf.empty() ? scene.srf : options_.srf;
+    if (srf.empty()) throw badInput(scene.file.string(), "names no field; add \"srf\" to it or give --srf X.srf");
+    std::vector<int> candidates = scene.frames;
+    if (!options_.reference.empty()) {
+      std::erase_if(candidates, [&](int frame) { return !fs::exists(frameFile(options_.reference, frame)); });
+      if (candidates.empty())
+        throw Error(ErrorKind::bad_input, "no frame of the scene has a file '" + options_.reference + "'",
+                    "--reference");
+    }
+    std::sort(candidates.begin(), candidates.end());
+    candidates.erase(std::unique(candidates.begin(), candidates.end()), candidates.end());
+    const std::size_t count = std::min<std::size_t>(candidates.size(), static_cast<std::size_t>(options_.frames));
+    std::vector<int> frames;
+    for (std::size_t i = 0; i < count; ++i) frames.push_back(candidates[(2 * i + 1) * candidates.size() / (2 * count)]);
+
+    std::string input = hexHash(scene.content_hash);
+    const auto mix = [&](const fs::path& file) {
+      const auto bytes = readBinaryFile(file);
+      input += hexHash(contentHash(bytes.data(), bytes.size()));
+    };
+    mix(srf / "manifest.json");
+    for (const SceneLight& light : scene.lights)
+      if (const auto* environment = std::get_if<EnvironmentLight>(&light)) mix(environment->map);
+    for (const int frame : frames) {
+      input += "," + std::to_string(frame);
+      if (!options_.reference.empty()) mix(frameFile(options_.reference, frame));
+    }
+    folder_ = options_.output;
+    const std::string hash = hexHash(contentHash(input.data(), input.size()));
+    if (fs::exists(folder_ / "study.json")) {
+      study_ = readStudy(folder_ / "study.json");
+      if (study_.input_hash != hash) {
+        reporter_.warn((folder_ / "study.json").string() +
+                       ": is of another scene, field or frames; the study begins anew");
+        fs::remove_all(folder_ / "frames");
+        study_ = {};
+      }
+    }
+    study_.scene = options_.scene;
+    study_.field = srf.string();
+    study_.reference = options_.reference;
+    study_.input_hash = hash;
+    study_.scene_hash = hexHash(scene.content_hash);
+    study_.frames = frames;
+    study_.passes = kPasses;
+  }
+
+  /// Renders one frame to learn what the scene uses and what it costs, and settles what "exact" is within the budget.
+  void plan(const Scene& scene) {
+    Reporter quiet(ProgressMode::none, LogLevel::error);
+    AnimationOptions options = animationOptions();
+    options.output = (folder_ / "frames" / "probe.####.exr").string();
+    options.frames = {middleFrame(), middleFrame()};
+    const Scene bare = readScene(options_.scene, {"/samples=1", "/accuracy/light_sharing=0"}, reporter_);
+    SceneProbe probe;
+    probe.seconds = renderAnimation(bare, options, quiet).back().seconds;
+    fs::remove(frameFile(options.output, middleFrame()));
+    for (const std::string& warning : quiet.warnings()) reporter_.warn(warning);
+    const auto counters = quiet.counters();
+    probe.shadow_rays = counters.contains("shadow_rays");
+    // Plain interpolation has captured shadows alone: a scene that asks for others stays guided.
+    probe.guided = counters.contains("model_values") && scene.interpolation != Interpolation::plain &&
+                   (scene.shadows == Shadows::automatic || scene.shadows == Shadows::captured);
+    const double a_frame = 0.5 * options_.budget / (kOneAtATime * kPasses * static_cast<double>(study_.frames.size()));
+    study_.own = ownSetting(scene, probe);
+    study_.exact = exactSetting(scene, probe, a_frame);
+  }
+
+  AnimationOptions animationOptions() const {
+    AnimationOptions options;
+    options.srf = study_.field;
+    options.memory_bytes = options_.memory_bytes;
+    return options;
+  }
+
+  /// False where the budget ended it.
+  bool measureAll() {
+    bool exact_kept = study_.find(study_.exact) != nullptr;
+    for (const int frame : study_.frames) exact_kept &= fs::exists(frameFile(pattern(study_.exact), frame));
+    if (!exact_kept) {
+      std::erase_if(study_.measured,
+                    [&](const MeasuredSetting& m) { return m.keys == study_.exact && !m.memory_bytes; });
+      measure(study_.exact, 0);
+    }
+    std::vector<std::pair<SceneKeys, std::size_t>> todo{{study_.own, 0}};
+    for (const Knob& knob : study_.knobs)
+      for (std::size_t i = 0; i < knob.values.size(); ++i)
+        todo.emplace_back(knob.values[i], knob.memory.empty() ? 0 : knob.memory[i]);
+    if (!measureList("one knob at a time", todo)) return false;
+    todo.clear();
+    for (const SceneKeys& keys : worthTrying(study_)) todo.emplace_back(keys, 0);
+    return measureList("search", todo);
+  }
+
+  bool measureList(const std::string& name, std::vector<std::pair<SceneKeys, std::size_t>> todo) {
+    std::erase_if(todo, [&](const auto& entry) { return study_.find(entry.first, entry.second) != nullptr; });
+    if (todo.empty()) return true;
+    Reporter::Stage stage(reporter_, name, todo.size());
+    for (const auto& [keys, memory] : todo) {
+      if (elapsed() + last_seconds_ > options_.budget) return false;
+      if (!study_.find(keys, memory)) measure(keys, memory);
+      stage.advance();
+    }
+    return true;
+  }
+
+  void measure(const SceneKeys& keys, std::size_t memory) {
+    const double start = elapsed();
+    Reporter quiet(ProgressMode::none, LogLevel::error);
+    const Scene scene = readScene(options_.scene, overridesOf(keys), quiet);
+    AnimationOptions options = animationOptions();
+    options.output = pattern(keys, memory);
+    if (memory) options.memory_bytes = memory;
+    for (int pass = 0; pass < kPasses; ++pass)
+      options.frames.insert(options.frames.end(), study_.frames.begin(), study_.frames.end());
+    const auto frames = renderAnimation(scene, options, quiet);
+    MeasuredSetting m;
+    m.keys = keys;
+    m.memory_bytes = memory;
+    m.cold = frames.front().seconds;
+    const std::size_t count = study_.frames.size();
+    for (std::size_t f = 0; f < count; ++f) {
+      std::vector<double> repeats;
+      for (std::size_t i = f; i < frames.size(); i += count)
+        if (i > 0) repeats.push_back(frames[i].seconds);
+      m.seconds.push_back(median(repeats));
+      const auto [least, most] = std::minmax_element(repeats.begin(), repeats.end());
+      m.spread += (*most - *least) / static_cast<double>(count);
+      const ImageF image = readImage(frames[f].file).pixels;
+      m.exact.push_back(frameError(image, readImage(frameFile(pattern(study_.exact), study_.frames[f])).pixels));
+      if (!options_.reference.empty())
+        m.truth.push_back(frameError(image, readImage(frameFile(options_.reference, study_.frames[f])).pixels));
+      if (keys != study_.exact && study_.frames[f] != middleFrame()) fs::remove(frames[f].file);
+    }
+    if (memory) fs::remove(frameFile(options.output, middleFrame()));
+    const auto figures = quiet.figures();
+    const auto figure = [&](const char* name) { return figures.contains(name) ? figures.at(name) : 0; };
+    m.bytes_read = figure("cache.bytes_read");
+    m.peak_bytes = figure("cache.peak_bytes");
+    study_.measured.push_back(m);
+    save();
+    ++rendered_;
+    reporter_.count("study.settings_rendered");
+    reporter_.result(shortText(keys) +
+                     format("  %.3f s a frame, error %.3f %%", m.worstSeconds(), 100 * m.worstError()));
+    last_seconds_ = elapsed() - start;
+  }
+
+  /// A setting that another one beats stays beaten: its picture is not shown again.
+  void keepFrontPictures() const {
+    const auto front = study_.front();
+    for (const MeasuredSetting& m : study_.measured)
+      if (m.keys != study_.exact && m.keys != study_.own && std::find(front.begin(), front.end(), &m) == front.end())
+        fs::remove(frameFile(pattern(m.keys, m.memory_bytes), middleFrame()));
+  }
+
+  const Options& options_;
+  Reporter& reporter_;
+  const std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
+  fs::path folder_;
+  Study study_;
+  std::size_t rendered_ = 0;
+  double last_seconds_ = 0;
+};
+
+}  // namespace
+}  // namespace srf
+
+int main(int argc, char** argv) {
+  using namespace srf;
+  Program program("study",
+                  "Measures what accuracy costs in time on a scene: each knob of the renderer alone, then the best "
+                  "combinations. Writes study.json, study.csv and the page study.html; srf render --quality uses them. "
+                  "A study that was interrupted, or whose budget ended, goes on when run again.");
+  Options options;
+  std::string budget = "10m";
+  program.app().add_option("scene", options.scene, "scene.json")->required();
+  program.app().add_option("-o,--output", options.output, "folder of the study")->required();
+  program.app().add_option("--srf", options.srf, "the field, X.srf; default: the scene's");
+  program.app().add_option("--budget", budget, "time of this run: 90s, 10m, 1h")->capture_default_str();
+  program.app().add_option("--reference", options.reference, "true pictures to compare with too, name.####.exr");
+  program.app()
+      .add_option("--frames", options.frames, "number of the scene's frames to study, spread over the animation")
+      ->check(CLI::Range(1, 1000))
+      ->capture_default_str();
+  return program.run(argc, argv, [&](Reporter& reporter) {
+    options.budget = parseBudget(budget);
+    options.memory_bytes = program.memoryBudget();
+    Studying(options, reporter).run();
+  });
+}

@@ -1,0 +1,234 @@
+#include "apps/study_file.h"
+
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "apps/html.h"
+#include "base/error.h"
+#include "base/image_metrics.h"
+#include "base/json.h"
+
+namespace srf {
+namespace {
+
+using html::format;
+
+Json keysToJson(const SceneKeys& keys) {
+  Json out = Json::object();
+  for (const auto& [key, text] : keys) out[key] = Json::parse(text);
+  return out;
+}
+
+SceneKeys keysFrom(const JsonNode& node) {
+  if (!node.isObject()) throw node.error("found " + node.typeName() + ", expected an object of scene keys");
+  SceneKeys keys;
+  for (const auto& [key, value] : node.raw().items()) keys[key] = value.dump();
+  return keys;
+}
+
+Json errorsToJson(const std::vector<FrameError>& errors) {
+  Json out = Json::array();
+  for (const FrameError& e : errors)
+    out.push_back({{"relative_error_mean", e.mean},
+                   {"relative_error_p99_9", e.percentile},
+                   {"psnr_db", e.psnr},
+                   {"relative_mse", e.relative_mse},
+                   {"ssim", e.ssim},
+                   {"flip", e.flip}});
+  return out;
+}
+
+std::vector<FrameError> errorsFrom(const JsonNode& node) {
+  std::vector<FrameError> errors;
+  for (std::size_t i = 0; i < node.size(); ++i) {
+    const JsonNode e = node.at(i);
+    errors.push_back({e["relative_error_mean"].number(), e["relative_error_p99_9"].number(), e["psnr_db"].number(),
+                      e["relative_mse"].number(), e["ssim"].number(), e["flip"].number()});
+  }
+  return errors;
+}
+
+Json settingToJson(const MeasuredSetting& m) {
+  Json out{{"set", keysToJson(m.keys)}};
+  if (m.memory_bytes) out["memory_bytes"] = m.memory_bytes;
+  out["error_worst"] = m.worstError();
+  out["seconds_worst"] = m.worstSeconds();
+  out["promise"] = {{"error", m.worstError() * kErrorMargin}, {"seconds", m.worstSeconds() * kTimeMargin}};
+  out["seconds"] = m.seconds;
+  out["seconds_spread"] = m.spread;
+  out["seconds_cold"] = m.cold;
+  out["bytes_read"] = m.bytes_read;
+  out["peak_cache_bytes"] = m.peak_bytes;
+  out["against_exact"] = errorsToJson(m.exact);
+  out["against_reference"] = errorsToJson(m.truth);
+  return out;
+}
+
+MeasuredSetting settingFrom(const JsonNode& node, std::size_t frames) {
+  MeasuredSetting m;
+  m.keys = keysFrom(node["set"]);
+  if (const auto bytes = node.find("memory_bytes")) m.memory_bytes = static_cast<std::size_t>(bytes->positiveNumber());
+  m.seconds = node["seconds"].numbers(frames);
+  m.spread = node["seconds_spread"].number();
+  m.cold = node["seconds_cold"].number();
+  m.bytes_read = node["bytes_read"].number();
+  m.peak_bytes = node["peak_cache_bytes"].number();
+  m.exact = errorsFrom(node["against_exact"]);
+  m.truth = errorsFrom(node["against_reference"]);
+  if (m.exact.size() != frames) throw node["against_exact"].error("holds other frames than /frames");
+  return m;
+}
+
+}  // namespace
+
+std::vector<std::string> overridesOf(const SceneKeys& keys) {
+  std::vector<std::string> overrides;
+  for (const auto& [key, text] : keys) overrides.push_back(key + "=" + text);
+  return overrides;
+}
+
+FrameError frameError(const ImageF& image, const ImageF& reference) {
+  const ImageDifference d = compareImages(image, reference);
+  std::vector<double> errors;
+  const int channels = std::min(3, reference.channels());
+  for (int y = 0; y < reference.height(); ++y)
+    for (int x = 0; x < reference.width(); ++x) {
+      double brightest = 0, shown = 0, difference = 0;
+      for (int c = 0; c < channels; ++c) {
+        const double value = image.at(x, y, c), truth = reference.at(x, y, c);
+        brightest = std::max(brightest, truth);
+        shown = std::max(shown, value);
+        difference = std::max(difference, std::fabs(value - truth));
+      }
+      if (brightest > 0 || shown > 0) errors.push_back(difference / (brightest + d.peak / 100));
+    }
+  FrameError out{
+      .psnr = d.inside.psnr, .relative_mse = d.inside.relative_mse, .ssim = d.inside.ssim, .flip = d.inside.flip};
+  for (const double e : errors) out.mean += e / static_cast<double>(errors.size());
+  const auto rank = static_cast<std::ptrdiff_t>(0.999 * static_cast<double>(errors.size() - 1));
+  std::nth_element(errors.begin(), errors.begin() + rank, errors.end());
+  out.percentile = errors[static_cast<std::size_t>(rank)];
+  return out;
+}
+
+double MeasuredSetting::worstError() const {
+  double worst = 0;
+  for (const FrameError& e : exact) worst = std::max(worst, e.mean);
+  return worst;
+}
+
+double MeasuredSetting::worstSeconds() const {
+  return *std::max_element(seconds.begin(), seconds.end());
+}
+
+const MeasuredSetting* Study::find(const SceneKeys& keys, std::size_t memory_bytes) const {
+  for (const MeasuredSetting& m : measured)
+    if (m.keys == keys && m.memory_bytes == memory_bytes) return &m;
+  return nullptr;
+}
+
+std::vector<const MeasuredSetting*> Study::front() const {
+  std::vector<const MeasuredSetting*> sorted, best;
+  for (const MeasuredSetting& m : measured)
+    if (!m.memory_bytes) sorted.push_back(&m);
+  std::stable_sort(sorted.begin(), sorted.end(), [](const auto* a, const auto* b) {
+    return std::pair(a->worstSeconds(), a->worstError()) < std::pair(b->worstSeconds(), b->worstError());
+  });
+  for (const MeasuredSetting* m : sorted)
+    if (best.empty() || m->worstError() < best.back()->worstError()) best.push_back(m);
+  return best;
+}
+
+Study readStudy(const std::filesystem::path& file) {
+  const JsonNode root = readJsonFile(file);
+  Study study;
+  study.scene = root["scene"].string();
+  study.field = root["field"].string();
+  study.reference = root["reference"].string();
+  study.input_hash = root["input_hash"].string();
+  study.scene_hash = root["scene_hash"].string();
+  study.passes = static_cast<int>(root["passes"].integer(1, 1000));
+  study.complete = root["complete"].boolean();
+  for (std::size_t i = 0; i < root["frames"].size(); ++i)
+    study.frames.push_back(static_cast<int>(root["frames"].at(i).integer(-1000000, 1000000)));
+  if (study.frames.empty()) throw root["frames"].error("is empty, expected the studied frames");
+  study.exact = keysFrom(root["exact"]);
+  study.own = keysFrom(root["own"]);
+  const JsonNode settings = root["settings"];
+  for (std::size_t i = 0; i < settings.size(); ++i)
+    study.measured.push_back(settingFrom(settings.at(i), study.frames.size()));
+  return study;
+}
+
+void writeStudy(const std::filesystem::path& file, const Study& study) {
+  Json out;
+  out["scene"] = study.scene;
+  out["field"] = study.field;
+  out["reference"] = study.reference;
+  out["input_hash"] = study.input_hash;
+  out["scene_hash"] = study.scene_hash;
+  out["frames"] = study.frames;
+  out["passes"] = study.passes;
+  out["complete"] = study.complete;
+  out["margin"] = {{"error", kErrorMargin}, {"seconds", kTimeMargin}};
+  out["exact"] = keysToJson(study.exact);
+  out["own"] = keysToJson(study.own);
+  out["settings"] = Json::array();
+  for (const MeasuredSetting& m : study.measured) out["settings"].push_back(settingToJson(m));
+  out["front"] = Json::array();
+  for (const MeasuredSetting* m : study.front()) out["front"].push_back(keysToJson(m->keys));
+  writeJsonFile(file, out);
+}
+
+std::string studyTable(const Study& study) {
+  const char* const kErrors[] = {
+      "relative_error_mean", "relative_error_p99_9", "psnr_db", "relative_mse", "ssim", "flip"};
+  std::string out = "setting,memory_bytes,frame,seconds,seconds_spread,seconds_cold,bytes_read,peak_cache_bytes";
+  for (const char* name : kErrors) out += std::string(",") + name;
+  for (const char* name : kErrors) out += std::string(",reference_") + name;
+  out += ",on_front\n";
+  const auto front = study.front();
+  for (const MeasuredSetting& m : study.measured) {
+    std::string keys;
+    for (const std::string& set : overridesOf(m.keys)) keys += (keys.empty() ? "" : " ") + set;
+    std::string quoted = "\"";
+    for (const char c : keys) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
+    for (std::size_t f = 0; f < study.frames.size(); ++f) {
+      out += quoted + format("\",%zu,%d,%.6g,%.6g,%.6g,%.0f,%.0f", m.memory_bytes, study.frames[f], m.seconds[f],
+                             m.spread, m.cold, m.bytes_read, m.peak_bytes);
+      const auto errors = [&](const std::vector<FrameError>& of) {
+        if (of.empty()) return std::string(",,,,,,");
+        const FrameError& e = of[f];
+        return format(",%.6g,%.6g,%.4f,%.6g,%.6f,%.6f", e.mean, e.percentile, e.psnr, e.relative_mse, e.ssim, e.flip);
+      };
+      out += errors(m.exact) + errors(m.truth) +
+             (std::find(front.begin(), front.end(), &m) == front.end() ? ",0\n" : ",1\n");
+    }
+  }
+  return out;
+}
+
+const MeasuredSetting& chooseSetting(const Study& study, std::optional<double> error, std::optional<double> seconds,
+                                     const std::string& where) {
+  const auto front = study.front();
+  if (front.empty()) throw badInput(where, "holds no measured setting; run srf study again to go on with it");
+  const MeasuredSetting* best = nullptr;
+  for (const MeasuredSetting* m : front) {  // fastest first, so that of the last one the error is least
+    if (seconds && m->worstSeconds() * kTimeMargin > *seconds) break;
+    if (error && m->worstError() * kErrorMargin > *error) continue;
+    best = m;
+    if (error) break;
+  }
+  if (best) return *best;
+  const MeasuredSetting &fastest = *front.front(), &nearest = *front.back();
+  throw badInput(
+      where, format("no setting promises %s%s%s; the fastest promises %.3g s a frame with an error of "
+                    "%.3g %%, the nearest %.3g s with %.3g %%",
+                    error ? format("an error of at most %.3g %%", 100 * *error).c_str() : "",
+                    error && seconds ? " in " : "", seconds ? format("at most %.3g s a frame", *seconds).c_str() : "",
+                    fastest.worstSeconds() * kTimeMargin, 100 * fastest.worstError() * kErrorMargin,
+                    nearest.worstSeconds() * kTimeMargin, 100 * nearest.worstError() * kErrorMargin));
+}
+
+}  // namespace srf

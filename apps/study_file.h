@@ -1,0 +1,79 @@
+// study.json: what `srf study` measured of a scene, and the choice that `srf render --quality` makes of it.
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "base/image.h"
+
+namespace srf {
+
+/// Keys of a scene and their values as JSON text: "/accuracy/views" to "4". As by --set.
+using SceneKeys = std::map<std::string, std::string>;
+std::vector<std::string> overridesOf(const SceneKeys& keys);
+
+/// How far a frame is from the one it should be. A pixel's relative error is the largest |x - r| of its channels over
+/// r_max + peak / 100, r_max being the brightest channel of the reference there and `peak` that of ImageDifference.
+struct FrameError {
+  double mean = 0;        ///< of the relative error, over the pixels where either picture shows the object
+  double percentile = 0;  ///< its 99.9th
+  double psnr = 0, relative_mse = 0, ssim = 1, flip = 0;  ///< of compareImages, inside
+};
+/// Throws bad_input where the sizes differ or the reference is black.
+FrameError frameError(const ImageF& image, const ImageF& reference);
+
+struct MeasuredSetting {
+  SceneKeys keys;
+  std::size_t memory_bytes = 0;   ///< 0: the program's own --memory
+  std::vector<FrameError> exact;  ///< of each studied frame, against the all-exact rendering
+  std::vector<FrameError> truth;  ///< against --reference; empty without it
+  std::vector<double> seconds;    ///< of each studied frame: median of its warm repeats
+  double spread = 0;              ///< slowest less fastest repeat of a frame, mean of the frames, seconds
+  double cold = 0;                ///< the first frame of the first run: files opened, nothing in memory, seconds
+  double bytes_read = 0, peak_bytes = 0;  ///< of the field's cache
+
+  double worstError() const;  ///< largest mean relative error of a studied frame
+  double worstSeconds() const;
+};
+
+/// What a knob may be set to, from exact to cheap.
+struct Knob {
+  std::string name, unit;
+  std::vector<SceneKeys> values;
+  std::vector<std::string> labels;  ///< one for each value
+  bool searched = true;             ///< part of the search; else shown alone
+  std::vector<std::size_t> memory;  ///< instead of `values`: bytes for --memory
+};
+
+struct Study {
+  std::string scene, field, input_hash, scene_hash, reference;
+  std::vector<int> frames;
+  int passes = 0;
+  bool complete = false;
+  SceneKeys exact, own;  ///< keys of the all-exact setting, and of the scene as it is
+  std::vector<Knob> knobs;
+  std::vector<MeasuredSetting> measured;
+
+  const MeasuredSetting* find(const SceneKeys& keys, std::size_t memory_bytes = 0) const;
+  /// Those that no other one beats in both worst error and worst time, fastest first: the error falls strictly.
+  std::vector<const MeasuredSetting*> front() const;
+};
+
+/// A promise is the worst studied frame times this.
+constexpr double kErrorMargin = 1.1, kTimeMargin = 1.1;
+
+/// Throws bad_input that names the file and the key.
+Study readStudy(const std::filesystem::path& file);
+void writeStudy(const std::filesystem::path& file, const Study& study);
+std::string studyTable(const Study& study);  ///< CSV, a row a setting and frame
+
+/// The fastest of the front that promises at most `error`, or the nearest that promises at most `seconds` a frame; with
+/// both, the fastest that keeps both. Throws bad_input that says what the study has to offer where none does.
+const MeasuredSetting& chooseSetting(const Study& study, std::optional<double> error, std::optional<double> seconds,
+                                     const std::string& where);
+
+}  // namespace srf
