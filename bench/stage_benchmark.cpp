@@ -117,7 +117,7 @@ class BareShadows {
  public:
   BareShadows(const DeformedModel& deformed, std::size_t rays) : deformed_(deformed), blocked_(rays) {
     const auto& points = deformed.positions();
-    const double golden = kPi * (3 - std::sqrt(5.0));
+    const double golden = kPi * (3 - std::sqrt(5.0)), offset = 1e-3 * deformed.bounds().diameter();
     for (std::size_t i = 0; i < rays; ++i) {
       // 32 rays from a point to lights of one hemisphere, as a hit casts them.
       const std::size_t point = i / 32 * 32 * 7919 % points.size(), light = i % 32;
@@ -126,7 +126,7 @@ class BareShadows {
       const Direction<ObjectSpace> u = anyPerpendicular(n);
       const Vec3 d =
           z * n.raw() + r * std::cos(golden * light) * u.raw() + r * std::sin(golden * light) * cross(n, u).raw();
-      rays_.push_back({points[point] + 1e-3 * deformed.bounds().diameter() * n, Direction<ObjectSpace>::fromUnit(d)});
+      rays_.push_back({points[point] + offset * n, Direction<ObjectSpace>::fromUnit(d)});
     }
   }
   void trace() const {
