@@ -108,7 +108,7 @@ TEST_F(FrameRendererTest, TheCoverHoldsEveryPixelThatShowsTheModel) {
       for (int x = 0; x < 150; ++x) {
         left_out += !cover.covers(x, y);
         PixelRays rays;
-        rays.add(cameras[c], pattern, x, y);
+        rays.add(cameras[c], std::nullopt, pattern, x, y);
         std::vector<SurfaceHit> hits(rays.rays.size());
         deformed.intersect(rays.rays, hits);
         for (const SurfaceHit& hit : hits) {
