@@ -433,6 +433,7 @@ class Calibrator {
     Intrinsics lens = lens_[s.camera];
     if (l.lens[s.camera] >= 0)
       for (int k = 0; k < lensParameterCount(lens.model); ++k) lens.*kLensMembers[k].member += *delta++;
+    const bool a_lens = lens.fl_x > 0 && lens.fl_y > 0;
     Pose camera_from_rig = rig_[s.camera], rig_from_board = input_.turntable ? Pose{} : shot_[s.shot];
     if (l.rig[s.camera] >= 0) camera_from_rig = camera_from_rig.moved(delta), delta += 6;
     if (l.shot[s.shot] >= 0) rig_from_board = rig_from_board.moved(delta), delta += 6;
@@ -444,7 +445,7 @@ class Calibrator {
     for (std::size_t i = 0; i < s.corners.ids.size(); ++i) {
       Vec3 x = corners_[static_cast<std::size_t>(s.corners.ids[i])];
       x = input_.turntable ? turn.at(input_.turntable->stops[s.shot], x) : rig_from_board * x;
-      const auto pixel = lens.project(Point<CameraSpace>(camera_from_rig * x));
+      const auto pixel = a_lens ? lens.project(Point<CameraSpace>(camera_from_rig * x)) : std::nullopt;
       // Behind the camera or beyond the lens: a step that does this is refused, as its squares are huge.
       const Vec2 q = pixel.value_or(Vec2{1e5, 1e5});
       residuals[2 * i] = q.x - s.corners.pixels[i].x;
@@ -476,10 +477,14 @@ class Calibrator {
     LeastSquaresResult fit = minimize(problem);
     if (fit.covariance.empty()) {
       const std::string what = fit.undetermined >= 0 ? out_.parameter_names[fit.undetermined] : "its parameters";
-      throw badInput("the board's photographs",
-                     "do not determine " + what +
-                         "; photograph the board from more sides, tilted, nearer and farther, or hold the lens with "
-                         "--lens-from");
+      throw badInput(
+          "the board's photographs",
+          "do not determine " + what +
+              (input_.turntable
+                   ? "; a board that lies flat on a turntable shows one plane from one height: lean it by 20 "
+                     "to 40 degrees, or hold the lens with --lens-from"
+                   : "; photograph the board from more sides, tilted, nearer and farther, or hold the lens "
+                     "with --lens-from"));
     }
     return fit;
   }
@@ -563,6 +568,15 @@ class Calibrator {
       out_.cameras[c].rms = std::sqrt(camera_squares[c] / static_cast<double>(out_.cameras[c].corners));
     out_.rms = std::sqrt(squares / static_cast<double>(count));
     for (const std::size_t i : outliers(rms)) out_.residuals[i].stands_out = true;
+    const auto worst = static_cast<std::size_t>(std::max_element(rms.begin(), rms.end()) - rms.begin());
+    const ImageSize& size = input_.sizes[input_.sightings[worst].camera];
+    if (out_.rms > 0.02 * std::max(size.width, size.height))
+      throw badInput(
+          input_.sightings[worst].name,
+          "no cameras and no motion explain the board's photographs: the root mean square error is " +
+              std::to_string(out_.rms) + " px, " + std::to_string(rms[worst]) +
+              " px in this one; check the board's size, whether the cameras stood still, the stops' numbers, "
+              "or leave it out with --leave-out");
   }
 
   const BoardCalibrationInput& input_;

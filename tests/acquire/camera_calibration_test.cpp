@@ -246,6 +246,12 @@ TEST(BoardCalibration, AViewWithAMovedBoardIsNamed) {
   for (std::size_t i = 0; i < input.sightings.size(); ++i) EXPECT_EQ(found.residuals[i].stands_out, i == 5) << i;
 }
 
+TEST(BoardCalibration, PhotographsThatFitNoCameraAreRefused) {
+  BoardCalibrationInput input = onTurntable(7, radians(15), {0, 0, 1}, {0.01, 0, 0});
+  std::swap(input.turntable->stops[2], input.turntable->stops[9]);
+  EXPECT_TRUE(holds(complaint([&] { calibrateWithBoard(input); }), "stops' numbers"));
+}
+
 TEST(BoardCalibration, FaultsSayWhatToPhotograph) {
   BoardCalibrationInput input = oneCamera(3);
   input.sightings.resize(2);
