@@ -24,8 +24,9 @@ bool isEnvironment(const std::string& key) {
   return key.starts_with("/lights/");
 }
 
+// As the JSON of study.json gives it back: 1000000 and not 1e+06, which would be another setting there.
 std::string text(double value) {
-  return format("%g", value);
+  return value == std::floor(value) ? format("%.0f", value) : format("%g", value);
 }
 std::string text(int value) {
   return std::to_string(value);

@@ -726,5 +726,99 @@ TEST(PatentMap, NamesTestsThatExist) {
   EXPECT_GT(found, 40);
 }
 
+// A small scene under a map and a lamp, with more frames than a study looks at.
+Json studyScene(const fs::path& folder) {
+  ImageF map(16, 8, 3);
+  for (int y = 0; y < 8; ++y)
+    for (int x = 0; x < 16; ++x)
+      for (int c = 0; c < 3; ++c) map.at(x, y, c) = (x == 3 && y == 2) ? 20.F : 0.2F + 0.05F * static_cast<float>(x);
+  writeExr(folder / "map.exr", map);
+  Json scene = sample().sceneJson();
+  scene["camera"]["w"] = scene["camera"]["h"] = 32;
+  scene["frames"] = "0-8";
+  scene["deformation"][0]["degrees_per_unit"] = {{"keys", {{0, 0}, {8, 40}}}};
+  scene["lights"].push_back({{"type", "environment"}, {"map", "map.exr"}, {"samples", 16}});
+  return scene;
+}
+
+// The study's measure: mean of max |x - r| over r and 1 % of the peak.
+double relativeError(const fs::path& file, const fs::path& reference) {
+  const ImageF image = readImage(file).pixels, truth = readImage(reference).pixels;
+  const auto brightest = [](const ImageF& of, int x, int y) {
+    return static_cast<double>(std::max({of.at(x, y, 0), of.at(x, y, 1), of.at(x, y, 2)}));
+  };
+  double peak = 0, sum = 0;
+  int pixels = 0;
+  for (int y = 0; y < truth.height(); ++y)
+    for (int x = 0; x < truth.width(); ++x) peak = std::max(peak, brightest(truth, x, y));
+  for (int y = 0; y < truth.height(); ++y)
+    for (int x = 0; x < truth.width(); ++x) {
+      if (brightest(truth, x, y) <= 0 && brightest(image, x, y) <= 0) continue;
+      double difference = 0;
+      for (int c = 0; c < 3; ++c)
+        difference = std::max(difference, static_cast<double>(std::abs(image.at(x, y, c) - truth.at(x, y, c))));
+      sum += difference / (brightest(truth, x, y) + peak / 100);
+      ++pixels;
+    }
+  return pixels > 0 ? sum / pixels : 0;
+}
+
+TEST(Study, MeasuresResumesAndKeepsItsPromiseOnFramesLeftOut) {
+  test::TemporaryFolder folder;
+  writeJsonFile(folder / "scene.json", studyScene(folder.path()));
+  const fs::path out = folder / "out", stats = folder / "stats.json";
+  const Words words{"study", folder / "scene.json", "-o", out, "--budget", "20s", "--frames", "2", "--stats", stats};
+  bool complete = false;
+  for (int i = 0; i < 6 && !complete; ++i) {  // a busy machine may need more than one budget
+    const Outcome study = run(words);
+    ASSERT_EQ(study.code, 0) << study.err;
+    complete = readJsonFile(out / "study.json")["complete"].boolean();
+  }
+  ASSERT_TRUE(complete);
+  const Json study = readJsonFile(out / "study.json").raw();
+  const std::string page = slurp(out / "study.html"), table = slurp(out / "study.csv");
+  EXPECT_EQ(page.find("http"), std::string::npos);
+  EXPECT_NE(page.find("<svg"), std::string::npos);
+  EXPECT_NE(page.find("data:image/png;base64,"), std::string::npos);
+  EXPECT_EQ(static_cast<std::size_t>(std::count(table.begin(), table.end(), '\n')),
+            1 + study["settings"].size() * study["frames"].size());
+
+  // The front: fastest first, so its errors fall and its last is the exact one.
+  double before = std::numeric_limits<double>::infinity(), seconds = 0;
+  ASSERT_GE(study["front"].size(), 2u);
+  for (const Json& keys : study["front"])
+    for (const Json& setting : study["settings"])
+      if (setting["set"] == keys && !setting.contains("memory_bytes")) {
+        EXPECT_LT(setting["error_worst"].get<double>(), before);
+        EXPECT_GE(setting["seconds_worst"].get<double>(), seconds);
+        before = setting["error_worst"];
+        seconds = setting["seconds_worst"];
+      }
+  EXPECT_EQ(before, 0);
+
+  ASSERT_EQ(run(words).code, 0);
+  EXPECT_FALSE(readJsonFile(stats)["counters"].has("study.settings_rendered")) << "a rerun renders again";
+
+  const auto render = [&](const Words& more) {
+    Words all{"render", folder / "scene.json", "--quality", out / "study.json", "--frames", "0-8"};
+    all.insert(all.end(), more.begin(), more.end());
+    return run(all);
+  };
+  ASSERT_EQ(render({"--target-error", "0", "-o", folder / "exact.####.exr"}).code, 0);
+  ASSERT_EQ(render({"--target-error", "0.03", "-o", folder / "fast.####.exr"}).code, 0);
+  double most = 0;
+  for (int frame = 0; frame <= 8; ++frame) {
+    const Json& frames = study["frames"];
+    const bool studied = std::find(frames.begin(), frames.end(), Json(frame)) != frames.end();
+    const std::string number = ".000" + std::to_string(frame) + ".exr";
+    const double error = relativeError(folder / ("fast" + number), folder / ("exact" + number));
+    EXPECT_LE(error, studied ? 0.03 : 0.03 * 1.2) << "frame " << frame;
+    most = std::max(most, error);
+  }
+  EXPECT_GT(most, 0) << "the setting is the exact one";
+  expectMessage(render({"--target-time", "1e-9", "-o", folder / "f.####.exr"}), 3, {"study.json", "promises"});
+  expectMessage(render({"-o", folder / "f.####.exr"}), 2, {"--quality", "--target-error"});
+}
+
 }  // namespace
 }  // namespace srf
