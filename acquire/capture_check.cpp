@@ -386,7 +386,10 @@ MaskFacts lookAtMask(const CaptureView& view, int factor, KeptMask& kept) {
   one.views = {view};
   MaskFacts facts;
   try {
-    Image8 mask = silhouette(one, ViewId{0}, {}, Reporter::silent());
+    // As it is stored: acquisition would turn it about by itself, and say so.
+    SilhouetteOptions as_stored;
+    as_stored.polarity = MaskPolarity::white_is_object;
+    Image8 mask = silhouette(one, ViewId{0}, as_stored, Reporter::silent());
     if (const double border = whiteBorder(mask); border > 0.8) {
       facts = {text("%.0f %% of the picture's border is white", 100 * border),
                "invert it: white is the object, black the background"};

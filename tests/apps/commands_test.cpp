@@ -232,8 +232,9 @@ TEST(Info, ShowsWhatWasFittedAndModelExportsIt) {
   for (const Json& name : fit["pictures"]) {
     const ImageF image = readImage(folder.path() / "maps" / name.get<std::string>(), Transfer::linear).pixels;
     EXPECT_EQ(image.width(), 64);
-    if (name == "normal.png")  // the camera sees what faces it, and most of all the middle
+    if (name == "normal.png") {  // the camera sees what faces it, and most of all the middle
       for (int c = 0; c < 3; ++c) EXPECT_GT(image.at(32, 32, c), 0) << c;
+    }
   }
 
   ASSERT_EQ(run({"model", sample().field, "--export-parameters", folder / "p.ply"}).code, 0);

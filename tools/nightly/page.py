@@ -65,7 +65,7 @@ sizes = {full for e in found.values() for full in e["full"]}
 size = {(True,): "full size", (False,): "the size that runs with each change"}.get(
     tuple(sorted(sizes)), "the size that runs with each change, with lines marked * at full size in `release`")
 print("# Hard cases\n")
-print(f"Made by `tools/nightly.sh` from what the tests measured: {size}; builds: "
+print(f"Made by `tools/nightly/page.py` from what the tests measured: {size}; builds: "
       + ", ".join(f"`{b}`" for b in builds) + ". The worst of all builds and of all tests of a line stands in the table; "
       "margin is how many times further from the bound it could be.\n")
 print("`release` is optimised with wide code (AVX2), `scalar` the same without it, `debug` is -O0, `asan` (addresses and undefined "
