@@ -12,6 +12,7 @@
 #include "base/files.h"
 #include "base/image_io.h"
 #include "base/json.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
@@ -26,12 +27,6 @@ Error notABoard(const std::string& text, const std::string& what) {
               "; write inner corners and square, '9x6:25mm', or a ChArUco board's squares, square, marker and "
               "dictionary, 'charuco:8x11:20mm:15mm:5X5_100'",
           "board '" + text + "'"};
-}
-
-std::string shortNumber(double x) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.6g", x);
-  return text;
 }
 
 double parseLength(const std::string& text, const std::string& word) {

@@ -58,12 +58,6 @@ int lensParameterCount(CameraModel model) {
   return model == CameraModel::pinhole ? 4 : model == CameraModel::simple_radial ? 5 : 9;
 }
 
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 // The rotation nearest to a mean of rotations, by its singular values.
 Mat3 nearestRotation(const Mat3& m) {
   cv::Matx33d a;

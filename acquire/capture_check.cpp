@@ -592,12 +592,6 @@ void checkLightsAndCoverage(const Capture& capture, CheckReport& report) {
 
 // ---- Silhouettes against each other
 
-double median(std::vector<double> v) {
-  if (v.empty()) return 0;
-  std::nth_element(v.begin(), v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2), v.end());
-  return v[v.size() / 2];
-}
-
 /// Half as many cells as pixels, within bounds.
 int hullCells(const std::vector<SilhouetteView>& views) {
   int longest = 0;

@@ -17,24 +17,18 @@ namespace {
 
 using Point3 = Point<AcquisitionSpace>;
 
-constexpr std::size_t kPoints = 1200;          // of the surface, compared between views
-constexpr std::size_t kMostSamples = 2000;     // of a light, in its fit
-constexpr std::size_t kFewest = 40;            // samples below which a light tells nothing
-constexpr std::size_t kFewestInPhoto = 16;     // samples below which a photograph tells nothing
-constexpr double kSteep = 0.35;                // cosine to the camera below which a point is left out
-constexpr double kClearGain = 0.1;             // of correlation
-constexpr double kClearShare = 0.6;            // of what the fit left unexplained, at most this remains
-constexpr double kGoodFit = 0.5;               // correlation that a mended table must reach
-constexpr double kBeyondDoubt = 0.98;          // correlation at which no better place is looked for
-constexpr double kStray = 15;                  // degrees
-constexpr int kDirections = 1500;              // tried for a stray light: 3 degrees apart
-constexpr std::size_t kMostGains = 256;        // views solved for one by one; more are taken in runs
-
-double median(std::vector<double> v) {
-  if (v.empty()) return 0;
-  std::nth_element(v.begin(), v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2), v.end());
-  return v[v.size() / 2];
-}
+constexpr std::size_t kPoints = 1200;       // of the surface, compared between views
+constexpr std::size_t kMostSamples = 2000;  // of a light, in its fit
+constexpr std::size_t kFewest = 40;         // samples below which a light tells nothing
+constexpr std::size_t kFewestInPhoto = 16;  // samples below which a photograph tells nothing
+constexpr double kSteep = 0.35;             // cosine to the camera below which a point is left out
+constexpr double kClearGain = 0.1;          // of correlation
+constexpr double kClearShare = 0.6;         // of what the fit left unexplained, at most this remains
+constexpr double kGoodFit = 0.5;            // correlation that a mended table must reach
+constexpr double kBeyondDoubt = 0.98;       // correlation at which no better place is looked for
+constexpr double kStray = 15;               // degrees
+constexpr int kDirections = 1500;           // tried for a stray light: 3 degrees apart
+constexpr std::size_t kMostGains = 256;     // views solved for one by one; more are taken in runs
 
 /// A surface point in one view.
 struct Sample {
@@ -70,7 +64,7 @@ bool wellInside(const Image8& mask, const Intrinsics& lens, const Vec2& pixel, i
   return true;
 }
 
-double luminance(const Vec3& rgb) {
+double grey(const Vec3& rgb) {
   return (rgb.x + rgb.y + rgb.z) / 3;
 }
 
@@ -197,7 +191,7 @@ class Fit {
         for (std::size_t p = 0; p < view.photos.size(); ++p) {
           double value = NAN;
           if (!photos_[v][p].empty() && view.photos[p].light) {
-            const double e = luminance(capture_.lights[view.photos[p].light->value].irradianceAt(x));
+            const double e = grey(capture_.lights[view.photos[p].light->value].irradianceAt(x));
             if (e > 0) value = bilinear(photos_[v][p], seen->pixel) / e;
           }
           s.lit.push_back(value);
@@ -213,9 +207,9 @@ class Fit {
   const std::vector<std::vector<SmallPhoto>>& photos_;
   Point3 center_;
   std::vector<Sample> samples_;
-  std::vector<double> radius_;    // of each light: to the centre; 0: directional
-  std::vector<Vec3> told_, table_;  // direction of each light from the centre
-  std::vector<double> expected_;  // of each sample: sum of the shading under its view's lights
+  std::vector<double> radius_;               // of each light: to the centre; 0: directional
+  std::vector<Vec3> told_, table_;           // direction of each light from the centre
+  std::vector<double> expected_;             // of each sample: sum of the shading under its view's lights
   std::vector<std::vector<Entry>> entries_;  // of each light
 };
 
@@ -286,8 +280,8 @@ void findForeignLights(const Capture& capture, const Fit& fit, const std::vector
     // Of another light's place it must be as good as of any place at all.
     const double off = degrees(angleBetweenUnit(direction, table[l]));
     if (at != l && clearlyBetter(best, before) && degrees(angleBetweenUnit(direction, table[at])) < 0.5 * off)
-      foreign[l] = ForeignLight{LightId{static_cast<std::uint32_t>(l)}, LightId{static_cast<std::uint32_t>(at)}, before,
-                                best};
+      foreign[l] =
+          ForeignLight{LightId{static_cast<std::uint32_t>(l)}, LightId{static_cast<std::uint32_t>(at)}, before, best};
     else if (off > kStray && clearlyBetter(free, before))
       stray[l] = StrayLight{LightId{static_cast<std::uint32_t>(l)}, Direction<AcquisitionSpace>::fromUnit(direction),
                             off, before, free};

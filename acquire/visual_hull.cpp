@@ -27,11 +27,6 @@ constexpr double kCarvedTooMuch = 0.95;    // share of a usual mask covered, bel
 constexpr double kDust = 1e-6;             // of the volume
 constexpr int kSmoothing = 10;             // Taubin steps for the normals
 
-double median(std::vector<double> values) {
-  std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
-  return values[values.size() / 2];
-}
-
 std::string percent(double share) {
   char text[16];
   std::snprintf(text, sizeof text, "%.1f %%", 100 * share);

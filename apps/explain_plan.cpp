@@ -6,6 +6,8 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "base/text.h"
+
 namespace srf {
 namespace {
 
@@ -45,12 +47,6 @@ LightCounts countLights(const Scene& scene) {
   return counts;
 }
 
-std::string number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.6g", value);
-  return text;
-}
-
 }  // namespace
 
 Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Reporter& reporter) {
@@ -77,7 +73,7 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
   const bool guided = counted("model_values") > 0;
   const Deformation psi = scene.deformation.at(frame);
   const bool still = scene.deformation.none(), rigid = still || (!scene.deformation.movesVertices() && psi.rigid());
-  const std::string hits = number(counted("hits")) + " hits";
+  const std::string hits = shortNumber(counted("hits")) + " hits";
 
   Json plan = Json::array();
   const auto add = [&](const char* name, bool on, const std::string& because, const std::string& expected = "",
@@ -87,11 +83,11 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
     if (!measured.empty()) row["measured"] = measured;
     plan.push_back(std::move(row));
   };
-  add("rays", true, "/camera: " + number(camera.lens.width) + " x " + number(camera.lens.height) + " pixels",
-      "at most " + number(pixels * samples * static_cast<double>(moments)), hits);
+  add("rays", true, "/camera: " + shortNumber(camera.lens.width) + " x " + shortNumber(camera.lens.height) + " pixels",
+      "at most " + shortNumber(pixels * samples * static_cast<double>(moments)), hits);
   add("supersampling", samples > 1,
       samples > scene.samples ? "surfels are smaller than a pixel" : "/samples is " + std::to_string(scene.samples),
-      number(samples) + " samples a pixel");
+      shortNumber(samples) + " samples a pixel");
   add("deformation", !still, still ? "/deformation is empty" : "/deformation",
       still                          ? "the model stays at rest"
       : scene.deformation.constant() ? "every point once, since no key moves it"
@@ -101,9 +97,9 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       : rigid ? "the deformation is rigid"
               : "the deformation turns points differently",
       rigid ? "one vector of light weights" : "vectors of light weights by orientation",
-      number(counted("light_vectors")) + " vectors");
+      shortNumber(counted("light_vectors")) + " vectors");
   add("shared light weights", !rigid && scene.accuracy.light_sharing > 0,
-      "/accuracy/light_sharing is " + number(scene.accuracy.light_sharing) + " degrees");
+      "/accuracy/light_sharing is " + shortNumber(scene.accuracy.light_sharing) + " degrees");
   add("point lights", lights.near_lights + lights.from_file > 0,
       std::to_string(lights.near_lights) + " in /lights" +
           (lights.from_file ? ", and " + std::to_string(lights.from_file) + " files" : ""),
@@ -119,7 +115,7 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       : scene.interpolation == Interpolation::guided ? "/interpolation is \"guided\""
       : guided                                       ? "the model holds a fit"
                                                      : "the model holds no fit",
-      "", guided ? number(counted("model_values")) + " values of the fitted model" : "");
+      "", guided ? shortNumber(counted("model_values")) + " values of the fitted model" : "");
   const bool cast = guided && scene.shadows != Shadows::off;
   const bool deformed_shadows = scene.shadows == Shadows::deformed || (scene.shadows == Shadows::automatic && !still);
   add("shadow rays", cast,
@@ -130,14 +126,14 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       : deformed_shadows                    ? "/effects/shadows is \"deformed\""
                                             : "/effects/shadows is \"captured\"",
       cast ? "of an environment at most " + std::to_string(scene.accuracy.shadow_rays) + " a hit" : "",
-      cast ? number(counted("shadow_rays")) + " rays" : "");
+      cast ? shortNumber(counted("shadow_rays")) + " rays" : "");
   const Effects& effects = scene.effects;
   add("matte", effects.matte, effects.matte ? "/effects/matte" : "/effects/matte is not asked for");
   add("ground", effects.ground.has_value(), effects.ground ? "/effects/ground" : "/effects/ground is not asked for",
       effects.ground ? "at most " + std::to_string(scene.accuracy.shadow_rays) + " shadow rays a sample and point light"
                      : "",
       effects.ground
-          ? number(counted("ground.samples")) + " samples, " + number(counted("ground.shadow_rays")) + " rays"
+          ? shortNumber(counted("ground.samples")) + " samples, " + shortNumber(counted("ground.shadow_rays")) + " rays"
           : "");
   add("motion blur", moments > 1,
       effects.motion_blur ? "/effects/motion_blur" : "/effects/motion_blur is not asked for",
@@ -147,8 +143,8 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       effects.depth_of_field ? "/effects/depth_of_field" : "/effects/depth_of_field is not asked for",
       lens ? "rays everywhere in the picture, as many as samples" : "");
   add("look-ups", true, "/accuracy/views is " + std::to_string(scene.accuracy.views),
-      "at most " + number(counted("hits") * scene.accuracy.views * 4) + " operations",
-      number(counted("operations")) + " operations, " + number(figure("cache.misses")) + " blocks read");
+      "at most " + shortNumber(counted("hits") * scene.accuracy.views * 4) + " operations",
+      shortNumber(counted("operations")) + " operations, " + shortNumber(figure("cache.misses")) + " blocks read");
 
   Json seconds;
   for (const auto& [name, value] : figures)

@@ -12,6 +12,7 @@
 #include "apps/program.h"
 #include "base/image_io.h"
 #include "base/mesh_io.h"
+#include "base/text.h"
 #include "field/capture_file.h"
 #include "field/reflectance_store.h"
 #include "field/srf_folder.h"
@@ -280,11 +281,7 @@ std::string valueText(const Json& value) {
     for (const Json& entry : value) text += (text.empty() ? "" : ", ") + valueText(entry);
     return text.empty() ? "none" : text;
   }
-  if (value.is_number_float()) {
-    char text[32];
-    std::snprintf(text, sizeof text, "%.6g", value.get<double>());
-    return text;
-  }
+  if (value.is_number_float()) return shortNumber(value.get<double>());
   return value.dump();
 }
 

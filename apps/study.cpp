@@ -11,6 +11,7 @@
 #include "base/error.h"
 #include "base/files.h"
 #include "base/image_io.h"
+#include "base/numeric.h"
 #include "field/srf_folder.h"
 #include "render/animation.h"
 
@@ -43,12 +44,6 @@ std::string shortText(const SceneKeys& keys) {
   std::string out;
   for (const auto& [key, value] : keys) out += (out.empty() ? "" : " ") + key.substr(key.rfind('/') + 1) + "=" + value;
   return out;
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 struct Options {

@@ -12,6 +12,8 @@
 
 namespace srf {
 
+inline constexpr Vec3 kLuminance{0.2126, 0.7152, 0.0722};  ///< of linear Rec.709
+
 /// "lin_rec709", "ACEScg", "ACES2065-1": the spaces known without a configuration.
 const std::vector<std::string>& knownColorSpaces();
 /// XYZ from linear RGB of one of them (CIE 1931, its own white: D65, or ACES white near D60). Throws usage where the

@@ -3,7 +3,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <numbers>
+#include <vector>
 
 #include "base/space.h"
 
@@ -26,6 +28,14 @@ constexpr double lerp(double a, double b, double t) {
 constexpr double smoothstep(double edge0, double edge1, double x) {
   const double t = std::clamp((x - edge0) / (edge1 - edge0), 0.0, 1.0);
   return t * t * (3 - 2 * t);
+}
+
+/// The middle one by size, of two the larger; 0 where there is none.
+inline double median(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
 }
 
 /// Angle in radians between unit vectors by their chord. acos(dot) is off by 15 % at 1e-3 rad in float and may

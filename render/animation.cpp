@@ -6,6 +6,7 @@
 
 #include "base/files.h"
 #include "base/image_io.h"
+#include "base/text.h"
 #include "render/light_set.h"
 
 namespace srf {
@@ -72,19 +73,13 @@ std::size_t writeFrame(const fs::path& file, const Frame& frame, const Attribute
   return writeExr(file, frame.rgba.width(), frame.rgba.height(), channels, attributes);
 }
 
-std::string momentText(double moment) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%g", moment);
-  return text;
-}
-
 void countPoints(const DeformedStatistics& statistics, double moment, Reporter& reporter) {
   reporter.count("points.mirrored", statistics.mirrored);
   reporter.count("points.collapsed", statistics.collapsed);
   reporter.count("points.not_finite", statistics.not_finite);
   reporter.count("points.unsure_handedness", statistics.unsure_handedness);
   if (statistics.not_finite > 0)
-    reporter.warn("frame " + momentText(moment) + ": the deformation sends " + std::to_string(statistics.not_finite) +
+    reporter.warn("frame " + shortNumber(moment) + ": the deformation sends " + std::to_string(statistics.not_finite) +
                   " points of the model nowhere (NaN or Inf); they are left out");
 }
 

@@ -3,15 +3,12 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/color.h"
 #include "base/numeric.h"
 #include "render/pixel_noise.h"
 
 namespace srf {
 namespace {
-
-double luminance(const Vec3& rgb) {
-  return 0.2126 * rgb.x + 0.7152 * rgb.y + 0.0722 * rgb.z;
-}
 
 /// Whether a ray meets the box (slabs).
 bool meets(const Box<ObjectSpace>& box, const Point<ObjectSpace>& origin, const Direction<ObjectSpace>& direction,
@@ -40,7 +37,7 @@ GroundShading::GroundShading(const GroundPlane& plane, const FrameLights& lights
   for (const DistantLight& light : lights.distant) {
     const double cosine = light.direction.raw().z;
     if (!(cosine > 0)) continue;
-    all.push_back({light.direction, cosine * light.irradiance, luminance(cosine * light.irradiance)});
+    all.push_back({light.direction, cosine * light.irradiance, dot(kLuminance, cosine * light.irradiance)});
     open_ += all.back().irradiance;
     left += all.back().strength;
   }
@@ -124,7 +121,7 @@ std::uint64_t GroundShading::shade(std::span<const Ray<ObjectSpace>> rays, std::
     if (shadowed[i]) blocked[questions[i].sample] += questions[i].irradiance;
   for (std::size_t i = 0; i < open.size(); ++i) {
     auto& rgba = samples[first + i].rgba;
-    const double lost = luminance(blocked[i]), all = luminance(open[i]);
+    const double lost = dot(kLuminance, blocked[i]), all = dot(kLuminance, open[i]);
     if (plane_.shadow_only) {
       rgba[3] = static_cast<float>(all > 0 ? std::clamp(lost / all, 0.0, 1.0) : 0);
       continue;

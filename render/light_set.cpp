@@ -5,13 +5,12 @@
 #include <cmath>
 #include <queue>
 
+#include "base/color.h"
 #include "base/image_io.h"
 #include "base/numeric.h"
 
 namespace srf {
 namespace {
-
-constexpr Vec3 kLuminance{0.2126, 0.7152, 0.0722};  // Rec.709
 
 /// What a set of texels sends: irradiance on a plane facing each, and its first moment, both weighted by luminance.
 struct Energy {

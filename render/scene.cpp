@@ -6,6 +6,7 @@
 
 #include "base/files.h"
 #include "base/numeric.h"
+#include "base/text.h"
 #include "field/capture_json.h"
 
 namespace srf {
@@ -14,18 +15,12 @@ namespace {
 constexpr int kMostFrames = 1000000;
 constexpr double kLeastLength = 1e-30, kMostLength = 1e30;  // units
 
-std::string numberText(double x) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%g", x);
-  return text;
-}
-
 /// A number from `least` to `most`.
 double numberWithin(const JsonNode& node, double least, double most) {
   const double x = node.number();
   if (!(x >= least && x <= most))
-    throw node.error("found " + numberText(x) + ", expected a number from " + numberText(least) + " to " +
-                     numberText(most));
+    throw node.error("found " + shortNumber(x) + ", expected a number from " + shortNumber(least) + " to " +
+                     shortNumber(most));
   return x;
 }
 
@@ -77,7 +72,7 @@ SceneCamera readCamera(const JsonNode& node, const std::filesystem::path& folder
   for (std::size_t i = 0; i < camera.vfov.keys().size(); ++i) {
     const double vfov = camera.vfov.keys()[i].second;
     if (!(vfov > 0 && vfov < 180))
-      throw keyNode(node["vfov"], i).error("found " + numberText(vfov) + ", expected degrees above 0 and below 180");
+      throw keyNode(node["vfov"], i).error("found " + shortNumber(vfov) + ", expected degrees above 0 and below 180");
   }
   const JsonNode look_at = node["look_at"].onlyKeys({"eye", "target", "up"});
   camera.eye = readAnimatedVec3(look_at["eye"]);
@@ -220,10 +215,10 @@ Camera<ObjectSpace> Scene::cameraAt(double frame) const {
   if (const auto* from_file = std::get_if<FileCamera>(&camera)) return from_file->at(frame / fps);
   const auto& moving = std::get<LookAtCamera>(camera);
   const std::string where = file.string() + ": /camera";
-  const std::string at_frame = " at frame " + numberText(frame);
+  const std::string at_frame = " at frame " + shortNumber(frame);
   const double vfov = moving.vfov.at(frame);
   if (!(vfov > 0 && vfov < 180))  // cubic keys may overshoot
-    throw badInput(where + "/vfov", "is " + numberText(vfov) + at_frame + ", expected degrees above 0 and below 180");
+    throw badInput(where + "/vfov", "is " + shortNumber(vfov) + at_frame + ", expected degrees above 0 and below 180");
   const Point<ObjectSpace> eye(moving.eye.at(frame)), target(moving.target.at(frame));
   const auto pose = lookAt(eye, target, Vector<ObjectSpace>(moving.up.at(frame)));
   if (!pose)

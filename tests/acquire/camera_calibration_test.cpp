@@ -20,14 +20,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string complaint(const std::function<void()>& act) {
-  try {
-    act();
-  } catch (const Error& e) {
-    return e.what();
-  }
-  return "";
-}
 bool holds(const std::string& text, const std::string& part) {
   return text.find(part) != std::string::npos;
 }
@@ -232,7 +224,7 @@ TEST(BoardCalibration, AStepThatIsGivenIsHeldAndComparedWithTheFit) {
   EXPECT_DOUBLE_EQ(found.turntable->step, radians(15.2));
   EXPECT_NEAR(*found.turntable->free_step, radians(15), 5 * found.turntable->free_step_deviation);
   input.turntable->step = radians(-15);
-  EXPECT_TRUE(holds(complaint([&] { calibrateWithBoard(input); }), "counter-clockwise"));
+  EXPECT_TRUE(holds(test::messageOf([&] { calibrateWithBoard(input); }), "counter-clockwise"));
 }
 
 // ---- Faults
@@ -249,20 +241,21 @@ TEST(BoardCalibration, AViewWithAMovedBoardIsNamed) {
 TEST(BoardCalibration, PhotographsThatFitNoCameraAreRefused) {
   BoardCalibrationInput input = onTurntable(7, radians(15), {0, 0, 1}, {0.01, 0, 0});
   std::swap(input.turntable->stops[2], input.turntable->stops[9]);
-  EXPECT_TRUE(holds(complaint([&] { calibrateWithBoard(input); }), "stops' numbers"));
+  EXPECT_TRUE(holds(test::messageOf([&] { calibrateWithBoard(input); }), "stops' numbers"));
 }
 
 TEST(BoardCalibration, FaultsSayWhatToPhotograph) {
   BoardCalibrationInput input = oneCamera(3);
   input.sightings.resize(2);
-  EXPECT_TRUE(holds(complaint([&] { calibrateWithBoard(input); }), "in 2 photographs, and 3 are the least"));
+  EXPECT_TRUE(holds(test::messageOf([&] { calibrateWithBoard(input); }), "in 2 photographs, and 3 are the least"));
   input = oneCamera(3);
   input.cameras.emplace_back("d");
   input.sizes.push_back({640, 480});
   for (std::size_t i = 0; i < 6; ++i) input.sightings[i].camera = 1;  // no shot in common
-  EXPECT_TRUE(holds(complaint([&] { calibrateWithBoard(input); }), "sees the board in no shot together with 'c'"));
+  EXPECT_TRUE(
+      holds(test::messageOf([&] { calibrateWithBoard(input); }), "sees the board in no shot together with 'c'"));
   input.board = parseBoard("8x6:25mm");
-  EXPECT_TRUE(holds(complaint([&] { calibrateWithBoard(input); }), "half a turn"));
+  EXPECT_TRUE(holds(test::messageOf([&] { calibrateWithBoard(input); }), "half a turn"));
   // The same view of the board over and over does not tell the focal length from the distance.
   input = oneCamera(3);
   std::mt19937 random(1);
@@ -271,7 +264,7 @@ TEST(BoardCalibration, FaultsSayWhatToPhotograph) {
     s.corners = *seen(
         input.board, someLens(), [&](Vec3 x) { return flat * x; }, random);
   const BoardCalibration weak = calibrateWithBoard(oneCamera(3));
-  const std::string said = complaint([&] {
+  const std::string said = test::messageOf([&] {
     const BoardCalibration found = calibrateWithBoard(input);
     // If an answer comes, it must own up to its uncertainty.
     if (found.cameras[0].parameters[0].deviation > 30 * weak.cameras[0].parameters[0].deviation)
@@ -289,7 +282,7 @@ TEST(Board, ReadsWhatItWrites) {
   EXPECT_EQ(parseBoard("charuco:8x11:20mm").text(), "charuco:8x11:20mm:15mm:5X5_100");
   for (const char* text : {"", "9x6", "9:25mm", "9x6:25", "9x6:-1mm", "2x6:25mm", "charuco:8x11:20mm:25mm",
                            "charuco:8x11:20mm:15mm:5X5_99", "charuco:30x31:20mm:15mm:4X4_50", "9x6:25mm:1mm"})
-    EXPECT_NE(complaint([&] { parseBoard(text); }), "") << text;
+    EXPECT_NE(test::messageOf([&] { parseBoard(text); }), "") << text;
 }
 
 Intrinsics pinhole() {
@@ -372,7 +365,7 @@ TEST(Board, ACharucoBoardOfTheOldLayoutIsExplained) {
       }
   const BoardPose pose{rotationAbout({1, 0, 0}, kPi - 0.2), {0, 0, 0.3}};
   const Image8 old = photographed(texture, 120, 144, pinhole(), pose);
-  const std::string said = complaint([&] { findBoard(board, old, "old.jpg"); });
+  const std::string said = test::messageOf([&] { findBoard(board, old, "old.jpg"); });
   for (const char* part : {"old.jpg", "OpenCV before 4.6", "odd number of rows", "--print-board"})
     EXPECT_TRUE(holds(said, part)) << said;
   // The layout of 4.6 itself is read.
@@ -391,8 +384,9 @@ TEST(Board, IsPrintedAtItsSizeWithAnOddNumberOfRows) {
   EXPECT_TRUE(holds(pdf, "/MediaBox [0 0 566.929 776.693]"));  // points
   const std::size_t start = std::stoul(pdf.substr(pdf.rfind("startxref") + 10));
   EXPECT_EQ(pdf.substr(start, 4), "xref");
-  EXPECT_TRUE(holds(complaint([&] { printBoard(parseBoard("charuco:8x10:20mm"), folder / "c.svg"); }), "even number"));
-  EXPECT_TRUE(holds(complaint([&] { printBoard(parseBoard("9x6:20mm"), folder / "c.png"); }), ".svg or .pdf"));
+  EXPECT_TRUE(
+      holds(test::messageOf([&] { printBoard(parseBoard("charuco:8x10:20mm"), folder / "c.svg"); }), "even number"));
+  EXPECT_TRUE(holds(test::messageOf([&] { printBoard(parseBoard("9x6:20mm"), folder / "c.png"); }), ".svg or .pdf"));
 }
 
 // ---- Real photographs
@@ -448,9 +442,9 @@ TEST(StructureFromMotion, FailuresBecomeSentences) {
   }
   options.workspace = folder / "work";
   options.program = "no-such-program";
-  EXPECT_TRUE(holds(complaint([&] { runStructureFromMotion(options, Reporter::silent()); }), "install COLMAP"));
+  EXPECT_TRUE(holds(test::messageOf([&] { runStructureFromMotion(options, Reporter::silent()); }), "install COLMAP"));
   options.program = "false";
-  EXPECT_TRUE(holds(complaint([&] { runStructureFromMotion(options, Reporter::silent()); }), "exit code 1"));
+  EXPECT_TRUE(holds(test::messageOf([&] { runStructureFromMotion(options, Reporter::silent()); }), "exit code 1"));
   setInterruptRequested(true);
   options.program = "sleep";
   EXPECT_THROW(runStructureFromMotion(options, Reporter::silent()), Error);

@@ -14,16 +14,8 @@
 namespace srf {
 namespace {
 
-std::string refusal(const std::function<void()>& call) {
-  try {
-    call();
-  } catch (const Error& e) {
-    return e.what();
-  }
-  return "";
-}
 void expectRefused(const std::function<void()>& call, const std::string& words) {
-  const std::string text = refusal(call);
+  const std::string text = test::messageOf(call);
   EXPECT_NE(text.find(words), std::string::npos) << "'" << text << "' should say '" << words << "'";
 }
 
@@ -35,9 +27,8 @@ TEST(LightCalibration, AMattBallGivesItsLightAndTheStrayLight) {
       const double z = -0.95 + 0.25 * i, r = std::sqrt(1 - z * z);
       const Vec3 light{r * std::cos(2.0 * i), r * std::sin(2.0 * i), z};
       test::BallPicture picture{lens, ball, 0.01, 1, 0.003, static_cast<std::uint64_t>(i + 1)};
-      const ImageF image = test::ballPicture(picture, [&](const Vec3&, const Vec3& n, const Vec3&) {
-        return 0.4 * std::max(0.0, dot(n, light)) + 0.02;
-      });
+      const ImageF image = test::ballPicture(
+          picture, [&](const Vec3&, const Vec3& n, const Vec3&) { return 0.4 * std::max(0.0, dot(n, light)) + 0.02; });
       const auto fit = fitLambertBall(image, lens, *outlineOfBall(lens, ball), {.stray = true});
       ASSERT_TRUE(fit) << i;
       const double off = angleBetweenUnit(fit->direction.raw(), light);
@@ -86,7 +77,9 @@ TEST(LightCalibration, LpFilesComeBackAsTheyWere) {
 
 TEST(LightCalibration, LpFilesSeenInTheWildAreRead) {
   const test::TemporaryFolder folder;
-  writeTextFile(folder / "x.lp", "\xEF\xBB\xBF" "2\r\nC:\\my shots\\a b.jpg\t0,6 0 0,8\r\n\r\nb.jpg 0 0 2\r\n");
+  writeTextFile(folder / "x.lp",
+                "\xEF\xBB\xBF"
+                "2\r\nC:\\my shots\\a b.jpg\t0,6 0 0,8\r\n\r\nb.jpg 0 0 2\r\n");
   const auto lights = readLp(folder / "x.lp");
   ASSERT_EQ(lights.size(), 2u);
   EXPECT_EQ(lights[0].file, "C:\\my shots\\a b.jpg");
@@ -100,7 +93,7 @@ TEST(LightCalibration, BrokenLpFilesAreRefusedByLine) {
   const test::TemporaryFolder folder;
   const auto with = [&](const std::string& text) {
     writeTextFile(folder / "x.lp", text);
-    return refusal([&] { readLp(folder / "x.lp"); });
+    return test::messageOf([&] { readLp(folder / "x.lp"); });
   };
   EXPECT_NE(with("").find("is empty"), std::string::npos);
   EXPECT_NE(with("3\na 0 0 1\n").find("says 3 lights and has 1"), std::string::npos);
@@ -114,8 +107,8 @@ TEST(LightCalibration, BrokenLpFilesAreRefusedByLine) {
 TEST(LightCalibration, DomesAreReadFromBothKindsOfFile) {
   const test::TemporaryFolder folder;
   Camera<AcquisitionSpace> camera;
-  camera.pose = *lookAt(Point<AcquisitionSpace>(0, -3, 0), Point<AcquisitionSpace>(0, 0, 0),
-                        Vector<AcquisitionSpace>(0, 0, 1));
+  camera.pose =
+      *lookAt(Point<AcquisitionSpace>(0, -3, 0), Point<AcquisitionSpace>(0, 0, 0), Vector<AcquisitionSpace>(0, 0, 1));
   writeTextFile(folder / "own.json",
                 R"({"lights": [{"name": "a", "type": "point", "position": [0, 0, 2], "intensity": [4, 4, 4]}]})");
   const auto own = readDome(folder / "own.json", camera);

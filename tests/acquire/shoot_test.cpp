@@ -11,15 +11,6 @@
 namespace srf {
 namespace {
 
-std::string refusal(const std::function<void()>& call) {
-  try {
-    call();
-  } catch (const Error& e) {
-    return e.what();
-  }
-  return "";
-}
-
 TEST(Shoot, PathsSayViewLightAndExposureInNaturalOrder) {
   const test::TemporaryFolder folder;
   for (const char* name : {"v1/l10_a.jpg", "v1/l2_b.jpg", "v1/l2_a.jpg", "v0/l2_a.jpg", "notes.txt", "v1/other.jpg",
@@ -48,14 +39,14 @@ TEST(Shoot, WhatCannotBeMeantIsRefusedBySentence) {
   writeTextFile(folder / "a/1.jpg", "x");
   writeTextFile(folder / "b/1.jpg", "x");
   const auto with = [&](const std::string& pattern) {
-    return refusal([&] { findPhotos(folder.path(), pattern); });
+    return test::messageOf([&] { findPhotos(folder.path(), pattern); });
   };
   EXPECT_NE(with("{veiw}.jpg").find("unknown field {veiw}"), std::string::npos);
   EXPECT_NE(with("{view}/{view}.jpg").find("{view} twice"), std::string::npos);
   EXPECT_NE(with("{view").find("without its"), std::string::npos);
   EXPECT_NE(with("{view}.png").find("for example 'a/1.jpg'"), std::string::npos);
   EXPECT_NE(with("*/{light}.jpg").find("tells them apart"), std::string::npos);
-  EXPECT_NE(refusal([&] { findPhotos(folder / "c", "*"); }).find("is no folder"), std::string::npos);
+  EXPECT_NE(test::messageOf([&] { findPhotos(folder / "c", "*"); }).find("is no folder"), std::string::npos);
 }
 
 TEST(Shoot, TablesAreReadByNameWithFractionsAndErrorsNameTheLine) {
@@ -66,10 +57,10 @@ TEST(Shoot, TablesAreReadByNameWithFractionsAndErrorsNameTheLine) {
   EXPECT_EQ(rows.at("a")[0], 0.25);
   EXPECT_EQ(rows.at("b")[0], 32);
   writeTextFile(folder / "u.csv", "a,1\nb,x\n");
-  EXPECT_NE(refusal([&] { readNamedTable(folder / "u.csv", 1); }).find("line 2: has 'x'"), std::string::npos);
+  EXPECT_NE(test::messageOf([&] { readNamedTable(folder / "u.csv", 1); }).find("line 2: has 'x'"), std::string::npos);
   writeTextFile(folder / "w.csv", "a,1\na,2\n");
-  EXPECT_NE(refusal([&] { readNamedTable(folder / "w.csv", 1); }).find("second time"), std::string::npos);
-  EXPECT_NE(refusal([&] { readNamedTable(folder / "w.csv", 3); }).find("has 2 cells"), std::string::npos);
+  EXPECT_NE(test::messageOf([&] { readNamedTable(folder / "w.csv", 1); }).find("second time"), std::string::npos);
+  EXPECT_NE(test::messageOf([&] { readNamedTable(folder / "w.csv", 3); }).find("has 2 cells"), std::string::npos);
 }
 
 }  // namespace

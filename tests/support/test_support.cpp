@@ -5,6 +5,8 @@
 #include <cstdlib>
 #include <stdexcept>
 
+#include "base/error.h"
+
 namespace srf::test {
 
 TemporaryFolder::TemporaryFolder() {
@@ -17,14 +19,22 @@ TemporaryFolder::~TemporaryFolder() {
   std::filesystem::remove_all(path_, code);
 }
 
+std::string messageOf(const std::function<void()>& action) {
+  try {
+    action();
+  } catch (const Error& e) {
+    return e.what();
+  }
+  return "";
+}
+
 std::filesystem::path sourceFolder() {
   return SRF_SOURCE_DIR;
 }
 
 std::optional<std::filesystem::path> sharedData(const std::string& name) {
   const char* set = std::getenv("SRF_DATA");
-  const std::filesystem::path root =
-      set ? std::filesystem::path(set) : sourceFolder() / ".." / "shared" / "data";
+  const std::filesystem::path root = set ? std::filesystem::path(set) : sourceFolder() / ".." / "shared" / "data";
   std::error_code code;
   const auto path = std::filesystem::weakly_canonical(root / name, code);
   if (code || !std::filesystem::exists(path)) return std::nullopt;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 
@@ -21,6 +22,8 @@ class TemporaryFolder {
   std::filesystem::path path_;
 };
 
+/// What the srf::Error says that `action` throws; "" where it throws none.
+std::string messageOf(const std::function<void()>& action);
 /// The checkout that the tests were built from.
 std::filesystem::path sourceFolder();
 /// `SRF_DATA`/name, or shared/data/name beside the checkout; nothing where it is absent: the test then says 'skipped'.
