@@ -4,6 +4,7 @@
 #include "base/error.h"
 #include "base/numeric.h"
 #include "model/deformable_model.h"
+#include "model/direction_field.h"
 #include "model/surface_sampling.h"
 #include "model/visibility.h"
 
@@ -60,6 +61,26 @@ std::size_t surfelsForPixels(const AcquisitionMesh& mesh, const SrfManifest& fie
   return static_cast<std::size_t>(std::clamp(wanted, double{kFewestSurfels}, double{kMostSurfels}));
 }
 
+// u0 of samples of a mesh, blended from its corners'.
+std::vector<Direction<AcquisitionSpace>> directionsAt(const SurfaceSamples& samples, const AcquisitionMesh& mesh,
+                                                      const std::vector<Direction<AcquisitionSpace>>& corner) {
+  std::vector<Direction<AcquisitionSpace>> result;
+  result.reserve(samples.points.size());
+  for (std::size_t i = 0; i < samples.points.size(); ++i) {
+    const Triangle& t = mesh.triangles[samples.triangle[i]];
+    const double b1 = samples.weights[i][0], b2 = samples.weights[i][1], weight[3] = {1 - b1 - b2, b1, b2};
+    const Vec3 normal = samples.normals[i].raw();
+    Vec3 sum;
+    for (int k = 0; k < 3; ++k) sum += weight[k] * carriedTangent(corner[t[k]].raw(), mesh.normals[t[k]].raw(), normal);
+    sum -= dot(sum, normal) * normal;
+    // About a point where the field turns round, the corners' may cancel.
+    const double size = length(sum);
+    result.push_back(size > 1e-6 ? Direction<AcquisitionSpace>::fromUnit(sum / size)
+                                 : anyPerpendicular(samples.normals[i]));
+  }
+  return result;
+}
+
 }  // namespace
 
 DeformableModel buildModel(const AcquisitionMesh& surface, const std::string& shape, double positional_error,
@@ -72,7 +93,7 @@ DeformableModel buildModel(const AcquisitionMesh& surface, const std::string& sh
   model.shape = shape;
   model.positional_error = positional_error;
 
-  std::vector<Direction<AcquisitionSpace>> normals;
+  std::vector<Direction<AcquisitionSpace>> normals, directions = smoothDirections(mesh);
   if (options.kind == ModelKind::mesh) {
     model.p0 = mesh.positions;
     model.triangles = mesh.triangles;
@@ -84,6 +105,7 @@ DeformableModel buildModel(const AcquisitionMesh& surface, const std::string& sh
                   "--surfels");
     const std::size_t count = options.surfels > 0 ? options.surfels : surfelsForPixels(mesh, field);
     SurfaceSamples samples = sampleSurface(mesh, count, reporter);
+    directions = directionsAt(samples, mesh, directions);
     model.p0 = std::move(samples.points);
     model.radius.assign(model.p0.size(), static_cast<float>(samples.radius));
     model.anchor_triangle = std::move(samples.triangle);
@@ -91,7 +113,8 @@ DeformableModel buildModel(const AcquisitionMesh& surface, const std::string& sh
     normals = std::move(samples.normals);
   }
   model.r0.resize(model.size());
-  for (std::size_t i = 0; i < model.size(); ++i) model.r0[i] = rodriguesFromRotation(restFrame(normals[i]));
+  for (std::size_t i = 0; i < model.size(); ++i)
+    model.r0[i] = rodriguesFromRotation(restFrame(normals[i], directions[i]));
   // A carved or scanned surface is bumpy by as much as it is off: nothing nearer than that counts as an occluder.
   model.visible = findVisibility(model.p0, normals, mesh, field.views,
                                  options.visibility_bias * diameter + positional_error, reporter);

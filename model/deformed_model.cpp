@@ -36,8 +36,9 @@ constexpr double kPartRadius = 0.55, kPartDistance = 0.8660254037844386;
 // Distance of neighbouring surfels in radii (surface_sampling.cpp).
 constexpr double kSurfelSpacing = 0.8;
 constexpr std::size_t kSpacingSample = 1 << 12;  // splats that tell it
-// In-plane phases further apart than 60 degrees are turned together before they are blended: opposed ones would cancel.
-constexpr double kPhaseCosine = 0.5;
+// In-plane phases further apart than 8 degrees are turned together before they are blended: apart they blend unevenly,
+// which tilts the plane, and opposed ones cancel. The direction field of a model keeps nearly all of them nearer.
+constexpr double kPhaseCosine = 0.99;
 // Squared sine between blended rest tangents below which they are no frame: points of opposite normals were blended.
 constexpr double kNoFrame = 1e-8;
 
