@@ -1,6 +1,7 @@
 #include "acquire/acquire_field.h"
 
 #include <algorithm>
+#include <cstdio>
 #include <set>
 
 #include "acquire/mask_pictures.h"
@@ -106,16 +107,41 @@ void recordHull(const VisualHull& hull, Reporter& reporter) {
   reporter.figure("hull.iou.least", least);
 }
 
+// The report of an adjustment: figures for all, and each view by name.
+void adjustCapture(Capture& capture, std::vector<SilhouetteView>& masks, const PoseAdjustmentOptions& options,
+                   Reporter& reporter) {
+  const PoseAdjustment adjustment = adjustPoses(masks, options, reporter);
+  if (!adjustment.kept) return;
+  for (std::size_t i = 0; i < masks.size(); ++i) capture.views[i].camera = masks[i].camera;
+  const auto number = [](const char* format, double value) {
+    char text[32];
+    std::snprintf(text, sizeof text, format, value);
+    return std::string(text);
+  };
+  reporter.result("poses adjusted: silhouettes agree with the hull of all by " + number("%.4f", adjustment.iou_after) +
+                  " in the mean, before by " + number("%.4f", adjustment.iou_before));
+  for (const AdjustedView& v : adjustment.views)
+    reporter.result("  " + v.name + ": turned by " + number("%.3f", v.turned) + " degrees, moved by " +
+                    number("%.4g", v.moved) + " " + capture.units + "; outline off by " + number("%.2f", v.after) +
+                    " pixels, before by " + number("%.2f", v.before) + "; agreement " + number("%.4f", v.iou_after) +
+                    ", before " + number("%.4f", v.iou_before));
+}
+
 }  // namespace
 
-SrfManifest acquireField(const Capture& capture, const fs::path& out, const AcquireOptions& options,
-                         Reporter& reporter) {
+SrfManifest acquireField(const Capture& given, const fs::path& out, const AcquireOptions& options, Reporter& reporter) {
+  Capture capture = given;  // its poses may be adjusted
   const fs::path folder = out.has_filename() ? out : out.parent_path();
   OutputFolder output(folder);
   checkAllPhotographs(capture, reporter);
   SilhouetteOptions silhouette_options = options.silhouette;
   silhouette_options.memory_bytes = options.memory_bytes;
-  const std::vector<SilhouetteView> masks = silhouettes(capture, silhouette_options, reporter);
+  std::vector<SilhouetteView> masks = silhouettes(capture, silhouette_options, reporter);
+  if (options.adjust_poses) {
+    PoseAdjustmentOptions adjustment = *options.adjust_poses;
+    if (!adjustment.bounds) adjustment.bounds = options.hull.bounds ? options.hull.bounds : capture.bounds;
+    adjustCapture(capture, masks, adjustment, reporter);
+  }
 
   SrfManifest manifest;
   manifest.units = capture.units;

@@ -3,8 +3,10 @@
 
 #include <filesystem>
 #include <functional>
+#include <optional>
 #include <string>
 
+#include "acquire/pose_adjustment.h"
 #include "acquire/silhouette.h"
 #include "acquire/visual_hull.h"
 #include "field/reflectance_store.h"
@@ -15,6 +17,8 @@ namespace srf {
 struct AcquireOptions {
   SilhouetteOptions silhouette;
   HullOptions hull;
+  /// Absent: the poses stay as they are. Bounds left empty are the hull's.
+  std::optional<PoseAdjustmentOptions> adjust_poses;
   bool make_hull = true;  ///< false where the model will come from another shape
   /// Makes the hull from the carved one, e.g. exactVisualHull; absent: the carved one it is.
   std::function<VisualHull(const std::vector<SilhouetteView>&, const VisualHull&, Reporter&)> refine_hull;

@@ -1,11 +1,14 @@
 #include "acquire/export_capture.h"
 
+#include <matio.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdio>
 #include <cstring>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <pugixml.hpp>
 #include <set>
@@ -14,6 +17,7 @@
 #include "acquire/light_calibration.h"
 #include "base/error.h"
 #include "base/files.h"
+#include "base/image_io.h"
 #include "base/json.h"
 #include "field/capture_file.h"
 #include "field/capture_json.h"
@@ -57,6 +61,14 @@ void place(const fs::path& from, const fs::path& to) {
     throw Error(ErrorKind::failed, "could not be copied to " + to.string() + ": " + code.message(), from.string());
 }
 
+/// Puts a mask there as the PNG file that its new name promises.
+void placeMask(const fs::path& from, const fs::path& to) {
+  if (from.extension() == ".png" || from.extension() == ".PNG") return place(from, to);
+  std::error_code code;
+  fs::create_directories(to.parent_path(), code);
+  writePng(to, readMask(from));
+}
+
 /// A name of a photograph that no other has: its path below the capture's folder where it lies there.
 class Names {
  public:
@@ -66,10 +78,15 @@ class Names {
         fs::absolute(capture.folder.empty() ? "." : capture.folder).lexically_normal());
     std::string name = below.empty() || below.native().starts_with("..") ? file.filename().string() : below.string();
     std::replace(name.begin(), name.end(), '/', '_');
-    if (!blanks_) std::replace_if(name.begin(), name.end(), [](char c) { return c == ' ' || c == '\t'; }, '_');
-    std::string unique = name;
-    for (int i = 2; !taken_.insert(unique).second; ++i) unique = std::to_string(i) + "_" + name;
-    return unique;
+    if (!blanks_)
+      std::replace_if(
+          name.begin(), name.end(), [](char c) { return c == ' ' || c == '\t'; }, '_');
+    return unique(name);
+  }
+  std::string unique(const std::string& name) {
+    std::string free = name;
+    for (int i = 2; !taken_.insert(free).second; ++i) free = std::to_string(i) + "_" + name;
+    return free;
   }
 
  private:
@@ -92,8 +109,7 @@ void refuse(const std::string& format, const Capture& capture, std::initializer_
 }
 
 void warnOfLights(const std::string& format, const Capture& capture, Reporter& reporter) {
-  if (!capture.unknownIllumination())
-    reporter.warn("the lights are lost: " + format + " has none");
+  if (!capture.unknownIllumination()) reporter.warn("the lights are lost: " + format + " has none");
 }
 void warnOfMasks(const std::string& format, const Capture& capture, Reporter& reporter) {
   if (std::any_of(capture.views.begin(), capture.views.end(), [](const auto& v) { return !v.mask_file.empty(); }))
@@ -114,7 +130,10 @@ void exportNrhints(const Capture& capture, const fs::path& folder, Reporter& rep
   root["frames"] = Json::array();
   for (const CaptureView& view : capture.views)
     for (const Photo& photo : view.photos) {
-      if (!photo.light) continue;
+      if (!photo.light) {
+        reporter.warn(photo.file.string() + ": is left out: nrhints has no photograph without a light");
+        continue;
+      }
       const CaptureLight& light = capture.lights[photo.light->value];
       Json frame;
       frame["file_path"] = fs::absolute(photo.file)
@@ -143,8 +162,7 @@ ColmapLens colmapLens(const Intrinsics& l) {
       if (l.fl_x == l.fl_y) return {2, "SIMPLE_RADIAL", {l.fl_x, l.cx, l.cy, l.k1}};
       return {4, "OPENCV", {l.fl_x, l.fl_y, l.cx, l.cy, l.k1, 0, 0, 0}};
     case CameraModel::opencv:
-      if (l.k3 != 0)
-        return {6, "FULL_OPENCV", {l.fl_x, l.fl_y, l.cx, l.cy, l.k1, l.k2, l.p1, l.p2, l.k3, 0, 0, 0}};
+      if (l.k3 != 0) return {6, "FULL_OPENCV", {l.fl_x, l.fl_y, l.cx, l.cy, l.k1, l.k2, l.p1, l.p2, l.k3, 0, 0, 0}};
       return {4, "OPENCV", {l.fl_x, l.fl_y, l.cx, l.cy, l.k1, l.k2, l.p1, l.p2}};
     case CameraModel::opencv_fisheye:
       return {5, "OPENCV_FISHEYE", {l.fl_x, l.fl_y, l.cx, l.cy, l.k1, l.k2, l.k3, l.k4}};
@@ -204,8 +222,8 @@ void exportColmap(const std::string& format, const Capture& capture, const fs::p
   Names names(/*blanks_allowed=*/false);
   std::uint32_t id = 0;
   for (const CaptureView& view : capture.views) {
-    const auto lens = static_cast<std::uint32_t>(
-        std::find(lenses.begin(), lenses.end(), view.camera.lens) - lenses.begin() + 1);
+    const auto lens =
+        static_cast<std::uint32_t>(std::find(lenses.begin(), lenses.end(), view.camera.lens) - lenses.begin() + 1);
     const Extrinsics e = extrinsicsOf(view.camera);
     const Quaternion q = quaternionFromRotation(e.r);
     for (const Photo& photo : view.photos) {
@@ -218,7 +236,7 @@ void exportColmap(const std::string& format, const Capture& capture, const fs::p
       images_bin.put(name);
       images_bin.put(std::uint64_t{0});  // key points
       place(photo.file, folder / "images" / name);
-      if (!view.mask_file.empty()) place(view.mask_file, folder / "masks" / (name + ".png"));
+      if (!view.mask_file.empty()) placeMask(view.mask_file, folder / "masks" / (name + ".png"));
     }
   }
   if (binary) {
@@ -312,10 +330,17 @@ void exportMetashape(const Capture& capture, const fs::path& folder, Reporter& r
       auto resolution = calibration.append_child("resolution");
       resolution.append_attribute("width") = l.width;
       resolution.append_attribute("height") = l.height;
-      const std::pair<const char*, double> values[] = {
-          {"f", l.fl_y},  {"cx", l.cx - 0.5 * l.width}, {"cy", l.cy - 0.5 * l.height}, {"b1", l.fl_x - l.fl_y},
-          {"b2", l.skew}, {"k1", l.k1},                 {"k2", l.k2},                  {"k3", l.k3},
-          {"k4", l.k4},   {"p1", l.p2},                 {"p2", l.p1}};  // their p1 goes with x, OpenCV's with y
+      const std::pair<const char*, double> values[] = {{"f", l.fl_y},
+                                                       {"cx", l.cx - 0.5 * l.width},
+                                                       {"cy", l.cy - 0.5 * l.height},
+                                                       {"b1", l.fl_x - l.fl_y},
+                                                       {"b2", l.skew},
+                                                       {"k1", l.k1},
+                                                       {"k2", l.k2},
+                                                       {"k3", l.k3},
+                                                       {"k4", l.k4},
+                                                       {"p1", l.p2},
+                                                       {"p2", l.p1}};  // their p1 goes with x, OpenCV's with y
       for (const auto& [name, value] : values)
         if (value != 0) calibration.append_child(name).text() = exact(value).c_str();
     }
@@ -336,16 +361,33 @@ void exportMetashape(const Capture& capture, const fs::path& folder, Reporter& r
   writeTextFile(folder / "cameras.xml", text.str());
 }
 
-// ---- One view under many lights
+// ---- Views under many lights
+
+/// Each photograph of these formats shows a directional light.
+void refuseOtherLights(const std::string& format, const Capture& capture, const CaptureView& view) {
+  for (const Photo& photo : view.photos)
+    if (!photo.light || capture.lights[photo.light->value].kind != LightKind::directional)
+      throw badInput(photo.file.string(), "has no directional light; the format " + format + " holds these alone");
+}
+/// How integer photographs count where the format leaves no choice.
+void warnOfTransfer(const std::string& format, const Capture& capture, Transfer taken, Reporter& reporter) {
+  if (capture.integer_transfer == taken) return;
+  const auto is_integer = [](const Photo& p) { return p.file.extension() != ".exr"; };
+  const auto name = [](Transfer t) { return std::string(t == Transfer::srgb ? "sRGB" : "linear"); };
+  for (const CaptureView& view : capture.views)
+    if (std::any_of(view.photos.begin(), view.photos.end(), is_integer)) {
+      reporter.warn("integer photographs count as " + name(capture.integer_transfer) + " here and as " + name(taken) +
+                    " in " + format + ": write them " + name(taken));
+      return;
+    }
+}
 
 const CaptureView& onlyView(const std::string& format, const Capture& capture, Reporter& reporter) {
   if (capture.views.size() != 1)
     throw badInput(capture.folder.string(),
                    "holds " + std::to_string(capture.views.size()) + " views; the format " + format + " holds one");
   const CaptureView& view = capture.views[0];
-  for (const Photo& photo : view.photos)
-    if (!photo.light || capture.lights[photo.light->value].kind != LightKind::directional)
-      throw badInput(photo.file.string(), "has no directional light; the format " + format + " holds these alone");
+  refuseOtherLights(format, capture, view);
   reporter.warn("the camera and the lights' names are lost: " + format + " has directions in the camera's frame alone");
   return view;
 }
@@ -368,8 +410,8 @@ void exportRti(const Capture& capture, const fs::path& folder, Reporter& reporte
   writeLp(folder / "capture.lp", lights);
 }
 
-void exportDiligent(const Capture& capture, const fs::path& folder, Reporter& reporter) {
-  const CaptureView& view = onlyView("diligent", capture, reporter);
+/// The photographs of one view with its lights in the camera's frame (x right, y up, z to the camera).
+void writeDiligentFolder(const Capture& capture, const CaptureView& view, const fs::path& folder) {
   Names names(true);
   std::string files, directions, intensities;
   for (const Photo& photo : view.photos) {
@@ -381,27 +423,157 @@ void exportDiligent(const Capture& capture, const fs::path& folder, Reporter& re
     directions += exact({d.x, d.y, d.z}) + "\n";
     intensities += exact({light.strength.x, light.strength.y, light.strength.z}) + "\n";
   }
-  if (capture.integer_transfer == Transfer::srgb)
-    reporter.warn("integer photographs count as sRGB here and as linear in diligent: write them linear");
-  if (!view.mask_file.empty()) place(view.mask_file, folder / "mask.png");
+  if (!view.mask_file.empty()) placeMask(view.mask_file, folder / "mask.png");
   writeTextFile(folder / "filenames.txt", files);
   writeTextFile(folder / "light_directions.txt", directions);
   writeTextFile(folder / "light_intensities.txt", intensities);
 }
 
+void exportDiligent(const Capture& capture, const fs::path& folder, Reporter& reporter) {
+  const CaptureView& view = onlyView("diligent", capture, reporter);
+  warnOfTransfer("diligent", capture, Transfer::linear, reporter);
+  writeDiligentFolder(capture, view, folder);
+}
+
+void exportDiligentMv(const Capture& capture, const fs::path& folder, Reporter& reporter) {
+  const std::string format = "diligent-mv";
+  refuse(format, capture, {CameraModel::pinhole}, true);
+  const Intrinsics& lens = capture.views[0].camera.lens;
+  for (const CaptureView& view : capture.views) {
+    if (!(view.camera.lens == lens))
+      throw cannotHold(format, view, "its lens is not that of view '" + capture.views[0].name + "'");
+    refuseOtherLights(format, capture, view);
+  }
+  warnOfTransfer(format, capture, Transfer::linear, reporter);
+  reporter.warn("the names of views and lights are lost: " + format + " counts them, and each view has its own lights");
+
+  fs::create_directories(folder);
+  const fs::path file = folder / "Calib_Results.mat";
+  const std::unique_ptr<mat_t, int (*)(mat_t*)> mat(Mat_CreateVer(file.c_str(), nullptr, MAT_FT_MAT5), Mat_Close);
+  if (!mat) throw Error(ErrorKind::failed, "cannot be written", file.string());
+  // `values` column by column, as MATLAB has them.
+  const auto write = [&](const std::string& name, std::vector<double> values, std::size_t columns) {
+    std::size_t size[2] = {values.size() / columns, columns};
+    const std::unique_ptr<matvar_t, void (*)(matvar_t*)> v(
+        Mat_VarCreate(name.c_str(), MAT_C_DOUBLE, MAT_T_DOUBLE, 2, size, values.data(), 0), Mat_VarFree);
+    if (!v || Mat_VarWrite(mat.get(), v.get(), MAT_COMPRESSION_NONE) != 0)
+      throw Error(ErrorKind::failed, name + " cannot be written", file.string());
+  };
+  write("KK", {lens.fl_x, 0, 0, lens.skew, lens.fl_y, 0, lens.cx - 0.5, lens.cy - 0.5, 1}, 3);
+  write("kc", {0, 0, 0, 0, 0}, 1);
+  write("nx", {static_cast<double>(lens.width)}, 1);
+  write("ny", {static_cast<double>(lens.height)}, 1);
+  for (std::size_t i = 0; i < capture.views.size(); ++i) {
+    const Extrinsics e = extrinsicsOf(capture.views[i].camera);
+    const std::string number = std::to_string(i + 1);
+    const Mat3 c = e.r.transposed();
+    write("Rc_" + number,
+          {c.row[0].x, c.row[0].y, c.row[0].z, c.row[1].x, c.row[1].y, c.row[1].z, c.row[2].x, c.row[2].y, c.row[2].z},
+          3);
+    write("Tc_" + number, {e.t.x, e.t.y, e.t.z}, 1);
+    writeDiligentFolder(capture, capture.views[i], folder / ("view_" + (i < 9 ? "0" + number : number)));
+  }
+}
+
+/// A NumPy file of N x 3 float64.
+void writeNpy(const fs::path& file, const std::vector<Vec3>& rows) {
+  std::string header = "{'descr': '<f8', 'fortran_order': False, 'shape': (" + std::to_string(rows.size()) + ", 3), }";
+  header.resize(118 - 1, ' ');
+  std::string bytes("\x93NUMPY\x01\x00", 8);
+  bytes += std::string{static_cast<char>(118), '\0'} + header + "\n";
+  for (const Vec3& row : rows)
+    for (int c = 0; c < 3; ++c) {
+      const double value = row[c];
+      bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
+    }
+  writeTextFile(file, bytes);
+}
+
+void exportOpenIllumination(const Capture& capture, const fs::path& folder, Reporter& reporter) {
+  const std::string format = "openillumination";
+  refuse(format, capture, {CameraModel::pinhole}, false);  // its photographs are undistorted ones
+  std::vector<Vec3> positions;
+  for (const CaptureLight& light : capture.lights) {
+    if (light.kind != LightKind::point)
+      throw badInput("light '" + light.name + "'", "is no point light; the format " + format + " holds these alone");
+    positions.push_back(light.position.raw());
+  }
+  if (std::any_of(capture.lights.begin(), capture.lights.end(), [](const CaptureLight& l) {
+        return l.strength != Vec3{1, 1, 1};
+      }))
+    reporter.warn("the strengths of the lights are lost: " + format + " has none");
+  reporter.warn("the names of the lights are lost: " + format + " counts them");
+  warnOfTransfer(format, capture, Transfer::srgb, reporter);
+
+  Names names(/*blanks_allowed=*/true);
+  Json frames = Json::object();
+  bool other_lens = false;
+  for (const CaptureView& view : capture.views) {
+    std::string camera = view.name;
+    std::replace(camera.begin(), camera.end(), '/', '_');
+    camera = names.unique(camera);
+    const Intrinsics& lens = view.camera.lens;
+    Json frame;
+    frame["file_path"] = "./images/" + camera;
+    frame["transform_matrix"] = poseJson(view.camera.pose);
+    frame["camera_angle_x"] = 2 * std::atan(0.5 * lens.width / lens.fl_x);
+    frame["calib_imgw"] = lens.width;
+    frame["light_idx"] = 0;
+    if (lens.fl_x != lens.fl_y || lens.cx != 0.5 * lens.width || lens.cy != 0.5 * lens.height) {
+      other_lens = true;
+      frame["fl_x"] = lens.fl_x, frame["fl_y"] = lens.fl_y, frame["cx"] = lens.cx, frame["cy"] = lens.cy;
+    }
+    frames[camera] = std::move(frame);
+    std::set<LightId> taken;
+    for (const Photo& photo : view.photos) {
+      if (!photo.light || !taken.insert(*photo.light).second) {
+        reporter.warn(photo.file.string() + ": is left out: " + format +
+                      " has one photograph for each light of a view");
+        continue;
+      }
+      std::string light = std::to_string(photo.light->value);
+      if (light.size() < 3) light.insert(0, 3 - light.size(), '0');
+      place(photo.file, folder / "Lights" / light / "raw_undistorted" / (camera + photo.file.extension().string()));
+    }
+    if (taken.empty()) throw cannotHold(format, view, "it has no photograph under a light");
+    if (!view.mask_file.empty()) placeMask(view.mask_file, folder / "output" / "obj_masks" / (camera + ".png"));
+  }
+  if (other_lens)
+    reporter.warn(
+        "pixels that are not square, or a principal point off the middle, stand in fl_x, fl_y, cx, cy beside "
+        "camera_angle_x: programs that read the angle alone miss them");
+  writeNpy(folder / "light_pos.npy", positions);
+  Json root;
+  root["frames"] = std::move(frames);
+  writeJsonFile(folder / "output" / "transforms_train.json", root);
+}
+
 }  // namespace
 
 const std::vector<std::string>& exportFormats() {
-  static const std::vector<std::string> kFormats{"transforms",  "nrhints",   "colmap", "colmap-binary", "middlebury",
-                                                 "projections", "metashape", "lp",     "diligent"};
+  static const std::vector<std::string> kFormats{"transforms", "nrhints",     "colmap",          "colmap-binary",
+                                                 "middlebury", "projections", "metashape",       "lp",
+                                                 "diligent",   "diligent-mv", "openillumination"};
   return kFormats;
 }
 
 void exportCapture(const std::string& format, const Capture& capture, const fs::path& folder, Reporter& reporter) {
   for (const CaptureView& view : capture.views)
     if (view.photos.empty()) throw badInput("view '" + view.name + "'", "has no photograph");
-  if (format != "transforms" && capture.units != "m")
+  if (capture.views.empty()) throw badInput(capture.folder.string(), "holds no view");
+  if (format == "diligent-mv") {
+    if (capture.units != "mm")
+      reporter.warn("lengths are in " + capture.units + " here and in mm in diligent-mv: numbers stay as they are");
+  } else if (format != "transforms" && capture.units != "m") {
     reporter.warn("the units, " + capture.units + ", are lost: numbers stay as they are");
+  }
+  if (format != "transforms") {
+    if (capture.applied_transform)
+      reporter.warn("the record of a transform applied before (applied_transform) is lost: poses stay as they are");
+    if (capture.bounds && format != "middlebury") reporter.warn("the bounding box is lost: " + format + " has none");
+    if (capture.color_space != "lin_rec709")
+      reporter.warn("the colour space, " + capture.color_space + ", is lost: " + format + " names none");
+  }
   if (format == "transforms") return writeCapture(folder, capture);
   if (format == "nrhints") return exportNrhints(capture, folder, reporter);
   if (format == "colmap" || format == "colmap-binary") return exportColmap(format, capture, folder, reporter);
@@ -410,6 +582,8 @@ void exportCapture(const std::string& format, const Capture& capture, const fs::
   if (format == "metashape") return exportMetashape(capture, folder, reporter);
   if (format == "lp") return exportRti(capture, folder, reporter);
   if (format == "diligent") return exportDiligent(capture, folder, reporter);
+  if (format == "diligent-mv") return exportDiligentMv(capture, folder, reporter);
+  if (format == "openillumination") return exportOpenIllumination(capture, folder, reporter);
   throw Error(ErrorKind::usage, "unknown format '" + format + "'", "--format");
 }
 

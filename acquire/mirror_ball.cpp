@@ -14,8 +14,7 @@ namespace {
 using Ray3 = Vec3;  // unit direction (perspective) or position in units (orthography) that belongs to a pixel
 
 std::optional<Ray3> rayOf(const Intrinsics& lens, const Vec2& pixel) {
-  if (lens.isOrthographic())
-    return Ray3{(pixel.x - lens.cx) / lens.fl_x, (pixel.y - lens.cy) / lens.fl_y, 0};
+  if (lens.isOrthographic()) return Ray3{(pixel.x - lens.cx) / lens.fl_x, (pixel.y - lens.cy) / lens.fl_y, 0};
   const auto direction = lens.unproject(pixel);
   if (!direction) return std::nullopt;
   return direction->raw();
@@ -149,8 +148,8 @@ Profile profileAlong(const ImageF& image, const Vec2& middle, const Vec2& direct
                       middle.y + t * direction.y + aside * direction.x);
     value[i] = sum / 3;
   }
-  Profile profile{{middle.x + first * direction.x, middle.y + first * direction.y}, direction,
-                  std::vector<double>(count)};
+  Profile profile{
+      {middle.x + first * direction.x, middle.y + first * direction.y}, direction, std::vector<double>(count)};
   for (int i = 0; i < count; ++i)
     for (int k = -kReach; k <= kReach; ++k) profile.derivative[i] += kKernel[k + kReach] * value[i + k + kReach];
   return profile;
@@ -171,7 +170,7 @@ std::vector<std::vector<EdgePoint>> edgesAbout(const ImageF& image, const Intrin
   const Vec2 middle = middlePixel(lens, outline);
   const std::vector<Vec2> on_outline = outlinePixels(lens, outline, rays);
   std::vector<Profile> profiles;
-  std::vector<double> slopes;
+  std::vector<double> slopes, beyond;
   for (const Vec2& p : on_outline) {
     const Vec2 d{p.x - middle.x, p.y - middle.y};
     const double r = std::hypot(d.x, d.y), half = pixels > 0 ? pixels : share * r;
@@ -186,9 +185,17 @@ std::vector<std::vector<EdgePoint>> edgesAbout(const ImageF& image, const Intrin
     if (last <= r - half) continue;
     profiles.push_back(profileAlong(image, middle, unit, std::max(1.0, r - half), last));
     for (const double g : profiles.back().derivative) slopes.push_back(std::fabs(g));
+    double end = last + std::max(16.0, 0.25 * r);
+    while (end > last && !inside(end)) end -= kStep;
+    if (end > last + 6)
+      for (const double g : profileAlong(image, middle, unit, last + 3, end - 3).derivative)
+        beyond.push_back(std::fabs(g));
   }
-  // Most of the band is no edge: the median slope is that of the noise.
-  const double noise = std::max(1.4826 * quantile(slopes, 0.5), 1e-12);
+  // Most of what lies in or beyond the band is no edge: there the median slope is that of the noise. The band of a
+  // small or shaded ball is all slope itself.
+  const double noise = std::max(
+      1.4826 * (beyond.empty() ? quantile(slopes, 0.5) : std::min(quantile(slopes, 0.5), quantile(beyond, 0.5))),
+      1e-12);
   std::vector<std::vector<EdgePoint>> edges;
   for (const Profile& profile : profiles) {
     std::vector<EdgePoint> found;
@@ -381,8 +388,8 @@ OutlineParameters outlineFromCircle(const Intrinsics& lens, const ImageCircle& c
   std::vector<EdgePoint> points;
   for (int i = 0; i < 64; ++i) {
     const double a = 2 * kPi * i / 64;
-    if (const auto p = edgePoint(lens, {circle.center.x + circle.radius * std::cos(a),
-                                        circle.center.y + circle.radius * std::sin(a)}))
+    if (const auto p = edgePoint(
+            lens, {circle.center.x + circle.radius * std::cos(a), circle.center.y + circle.radius * std::sin(a)}))
       points.push_back(*p);
   }
   std::optional<OutlineParameters> outline;
@@ -396,6 +403,19 @@ OutlineParameters outlineFromCircle(const Intrinsics& lens, const ImageCircle& c
                    "with a radius of " + std::to_string(circle.radius) +
                        " pixels is no ball that this lens can see; give centre and radius in pixels");
   return *outline;
+}
+
+FittedOutline givenOutline(const Intrinsics& lens, const ImageCircle& circle, double sigma) {
+  FittedOutline given;
+  given.outline = outlineFromCircle(lens, circle);
+  given.covariance = Mat3{{Vec3{}, Vec3{}, Vec3{}}};
+  for (const ImageCircle& moved : {ImageCircle{{circle.center.x + sigma, circle.center.y}, circle.radius},
+                                   ImageCircle{{circle.center.x, circle.center.y + sigma}, circle.radius},
+                                   ImageCircle{circle.center, circle.radius + sigma}}) {
+    const Vec3 change = outlineFromCircle(lens, moved) - given.outline;
+    given.covariance = given.covariance + outer(change, change);
+  }
+  return given;
 }
 
 std::vector<Vec2> outlinePixels(const Intrinsics& lens, const OutlineParameters& outline, int count) {
@@ -430,7 +450,7 @@ FittedOutline fitOutline(const ImageF& image, const Intrinsics& lens, const Outl
     return badInput("outline of the ball",
                     "shows an edge along " + std::to_string(static_cast<int>(std::lround(100 * share))) +
                         " % only, expected 20 % at least; give a circle nearer to it, photographs in which the ball "
-                        "stands out of its background, or take the circle as it is");
+                        "stands out of its background, or take the circle as it is with --keep-spheres");
   };
   if (usable.size() < static_cast<std::size_t>(options.rays) / 5)
     throw notFound(static_cast<double>(usable.size()) / options.rays);
@@ -485,15 +505,14 @@ FittedOutline fitOutline(const ImageF& image, const Intrinsics& lens, const Outl
   }
   fitted.rms = std::sqrt(squares / static_cast<double>(near.size()));
   // Edges nearer to each other than the kernel is wide say the same: about one in three pixels of the outline is new.
-  const double independent = std::max(4.0, std::min(static_cast<double>(near.size()),
-                                                    fitted.covered * 2 * kPi * start_radius / 3));
+  const double independent =
+      std::max(4.0, std::min(static_cast<double>(near.size()), fitted.covered * 2 * kPi * start_radius / 3));
   const double variance = squares / static_cast<double>(near.size()) * independent / (independent - 3);
   fitted.covariance = (variance * static_cast<double>(near.size()) / independent) * inverse(normal);
   return fitted;
 }
 
-std::optional<Highlight> findHighlight(const ImageF& image, const Intrinsics& lens,
-                                       const OutlineParameters& outline) {
+std::optional<Highlight> findHighlight(const ImageF& image, const Intrinsics& lens, const OutlineParameters& outline) {
   double x0 = image.width(), x1 = 0, y0 = image.height(), y1 = 0;
   for (const Vec2& p : outlinePixels(lens, outline, 64)) {
     x0 = std::min(x0, p.x), x1 = std::max(x1, p.x);
@@ -616,8 +635,7 @@ std::optional<DistantEstimate> estimateDistant(std::span<const MirrorSighting> s
     estimate.spread = std::max(estimate.spread, off);
     chi2 += square(off / r.sigma);
   }
-  if (rays.size() > 1)
-    estimate.sigma *= std::max(1.0, std::sqrt(chi2 / (2.0 * static_cast<double>(rays.size() - 1))));
+  if (rays.size() > 1) estimate.sigma *= std::max(1.0, std::sqrt(chi2 / (2.0 * static_cast<double>(rays.size() - 1))));
   return estimate;
 }
 

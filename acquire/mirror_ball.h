@@ -54,6 +54,9 @@ struct FittedOutline {
 FittedOutline fitOutline(const ImageF& image, const Intrinsics& lens, const OutlineParameters& start,
                          const OutlineOptions& options = {});
 
+/// The outline of a circle that is known already: centre and radius to `sigma` pixels each.
+FittedOutline givenOutline(const Intrinsics& lens, const ImageCircle& circle, double sigma = 0.5);
+
 /// The brightest spot inside an outline.
 struct Highlight {
   Vec2 pixel;         ///< centroid of the spot and two pixels around it, weighted by values over the ring beyond

@@ -167,20 +167,13 @@ std::string number(double x) {
   return text;
 }
 
-fs::path maskOf(const StructureFromMotionOptions& options, const std::string& name) {
-  for (const fs::path& file :
-       {options.masks / (name + ".png"), (options.masks / name).replace_extension(".png"), options.masks / name})
-    if (std::error_code code; fs::is_regular_file(file, code)) return file;
-  return {};
-}
-
 /// COLMAP wants every mask as masks/name.jpg.png.
 void writeMasks(const StructureFromMotionOptions& options, const std::vector<ImageSize>& sizes, Reporter& reporter) {
   std::size_t without = 0;
   std::string first;
   for (std::size_t i = 0; i < options.names.size(); ++i) {
     throwIfInterrupted();
-    const fs::path file = maskOf(options, options.names[i]);
+    const fs::path file = maskFileOf(options.masks, options.names[i]);
     if (file.empty()) {
       if (without++ == 0) first = options.names[i];
       continue;
@@ -203,6 +196,12 @@ void writeMasks(const StructureFromMotionOptions& options, const std::vector<Ima
 }
 
 }  // namespace
+
+fs::path maskFileOf(const fs::path& masks, const std::string& name) {
+  for (const fs::path& file : {masks / (name + ".png"), (masks / name).replace_extension(".png"), masks / name})
+    if (std::error_code code; fs::is_regular_file(file, code)) return file;
+  return {};
+}
 
 std::string colmapFailure(const std::string& stage, int exit_code, const std::string& last_lines) {
   std::string why;
@@ -248,8 +247,9 @@ fs::path runStructureFromMotion(const StructureFromMotionOptions& options, Repor
   };
   for (std::size_t i = 0; i < options.names.size(); ++i) {
     sizes.push_back(readImageSize(options.photos / options.names[i]));
-    settings["photographs"].push_back({identity(options.photos / options.names[i]), options.cameras[i],
-                                       options.masks.empty() ? Json() : identity(maskOf(options, options.names[i]))});
+    settings["photographs"].push_back(
+        {identity(options.photos / options.names[i]), options.cameras[i],
+         options.masks.empty() ? Json() : identity(maskFileOf(options.masks, options.names[i]))});
   }
   std::error_code code;
   fs::create_directories(work, code);

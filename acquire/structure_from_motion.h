@@ -32,6 +32,10 @@ struct StructureFromMotionOptions {
 /// and interrupted after Ctrl-C, when COLMAP has ended too.
 std::filesystem::path runStructureFromMotion(const StructureFromMotionOptions& options, Reporter& reporter);
 
+/// The mask of the photograph `name` (its path below the folder of photographs): name.jpg.png, name.png, or a file of
+/// the same name; empty where there is none.
+std::filesystem::path maskFileOf(const std::filesystem::path& masks, const std::string& name);
+
 /// What COLMAP's end means: `stage` as it is called ("mapper"), `exit_code` (134 for an abort), its last lines.
 std::string colmapFailure(const std::string& stage, int exit_code, const std::string& last_lines);
 

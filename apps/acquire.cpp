@@ -56,7 +56,8 @@ int main(int argc, char** argv) {
                        "GPL-3.0-or-later (links CGAL)");
   std::string capture, out, clean_plate, chroma_key, polarity = "auto", hull_kind = "carved", mask_pictures;
   srf::ExactHullOptions exact;
-  bool grab_cut = false, mend = false;
+  srf::PoseAdjustmentOptions adjustment;
+  bool grab_cut = false, mend = false, adjust = false;
   srf::AcquireOptions options;
   std::vector<double> bounds;
   double threshold = 0;
@@ -96,6 +97,12 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--mask-pictures", mask_pictures, "write a picture of each view's mask, and all on a sheet, here")
       ->type_name("DIR");
+  CLI::Option* adjusting = app.add_flag("--adjust-poses", adjust,
+                                        "move the cameras a little so that the silhouettes agree; told view by view");
+  app.add_option("--pose-uncertainty", adjustment.uncertainty, "how far the poses may be off, in pixels at the object")
+      ->needs(adjusting)
+      ->check(CLI::Range(0.01, 100.0))
+      ->capture_default_str();
   app.add_option("--hull", hull_kind, "carved on a grid, or the exact intersection of the silhouettes' cones")
       ->check(CLI::IsMember({"carved", "exact"}))
       ->capture_default_str();
@@ -133,6 +140,7 @@ int main(int argc, char** argv) {
                                   : polarity == "white" ? srf::MaskPolarity::white_is_object
                                                         : srf::MaskPolarity::black_is_object;
     options.mask_pictures = mask_pictures;
+    if (adjust) options.adjust_poses = adjustment;
     if (hull_kind == "exact")
       options.refine_hull = [&](const auto& views, const srf::VisualHull& carved, srf::Reporter& told) {
         return srf::exactVisualHull(views, carved, exact, told);

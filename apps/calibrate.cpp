@@ -12,6 +12,7 @@
 #include "acquire/camera_import.h"
 #include "acquire/shoot.h"
 #include "acquire/structure_from_motion.h"
+#include "apps/calibrate_job.h"
 #include "apps/calibrate_lights.h"
 #include "apps/program.h"
 #include "base/error.h"
@@ -25,70 +26,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-struct Job {
-  fs::path photos, output, board_photos, lens_from, lights, print_board;
-  std::string pattern, board_pattern, board, units = "m", world;
-  std::vector<std::string> cameras, leave_out;
-  CameraModel lens = CameraModel::opencv;
-  bool rig = false, turntable = false, copy = false, sfm = false, lens_given = false;
-  fs::path colmap_model, masks, points;
-  std::vector<std::string> distance;  ///< two photographs and the distance between them
-  int features = 8192, largest_side = 3200;
-  bool developed = false;  ///< the photographs lie in the capture already, as linear images
-  std::optional<double> step;  ///< degrees
-};
-
-Error usage(const std::string& what) {
-  return {ErrorKind::usage, what};
-}
-
 std::string text(const char* format, auto... values) {
   char line[512];
   std::snprintf(line, sizeof line, format, values...);
   return line;
-}
-
-// ---- Which photographs there are
-
-/// "{view}.*", or "{camera}/{view}.*" where the photographs lie in folders.
-std::string defaultPattern(const fs::path& folder) {
-  std::error_code code;
-  for (const auto& entry : fs::directory_iterator(folder, code))
-    if (entry.is_regular_file(code) && entry.path().has_extension() && entry.path().extension() != ".txt" &&
-        entry.path().extension() != ".json" && entry.path().extension() != ".md")
-      return "{view}.*";
-  return "{camera}/{view}.*";
-}
-
-/// The photographs of a folder but for those left out; with --camera NAME=PATTERN, of every such pattern.
-std::vector<ShootPhoto> photographs(const Job& job, const fs::path& folder, const std::string& pattern,
-                                    std::set<std::string>& left_out) {
-  std::vector<ShootPhoto> all;
-  for (const std::string& camera : job.cameras) {
-    const std::size_t equals = camera.find('=');
-    if (equals == std::string::npos || equals == 0)
-      throw usage("--camera '" + camera + "': expected NAME=PATTERN, e.g. left=left{view}.jpg");
-    for (ShootPhoto& photo : findPhotos(folder, camera.substr(equals + 1))) {
-      photo.camera = camera.substr(0, equals);
-      all.push_back(std::move(photo));
-    }
-  }
-  if (job.cameras.empty()) all = findPhotos(folder, pattern.empty() ? defaultPattern(folder) : pattern);
-  std::vector<ShootPhoto> kept;
-  for (ShootPhoto& photo : all) {
-    const fs::path relative = photo.file.lexically_relative(folder);
-    const auto named = std::find_if(job.leave_out.begin(), job.leave_out.end(), [&](const std::string& name) {
-      return relative == name || photo.file.filename() == name || photo.file.stem() == name ||
-             fs::path(relative).replace_extension() == name;
-    });
-    if (photo.camera.empty()) photo.camera = "camera";
-    if (named == job.leave_out.end())
-      kept.push_back(std::move(photo));
-    else
-      left_out.insert(*named);
-  }
-  if (kept.empty()) throw badInput(folder.string(), "every photograph is left out; name fewer with --leave-out");
-  return kept;
 }
 
 /// The place of a turntable in a name: its last number, e.g. 7 of "stop_007". Nothing where it has none.
@@ -134,20 +75,13 @@ std::size_t indexIn(std::vector<std::string>& names, const std::string& name) {
   return names.size() - 1;
 }
 
-double unitInMillimetres(const std::string& unit) {
-  if (unit == "m") return 1000;
-  if (unit == "cm") return 10;
-  if (unit == "mm") return 1;
-  throw usage("--units '" + unit + "': expected m, cm or mm");
-}
-
-Sightings findBoards(const Job& job, const Board& board, const fs::path& folder, const std::vector<ShootPhoto>& photos,
-                     bool shots_by_view, Reporter& reporter) {
+Sightings findBoards(const CalibrationJob& job, const Board& board, const fs::path& folder,
+                     const std::vector<ShootPhoto>& photos, bool shots_by_view, Reporter& reporter) {
   Sightings out;
   BoardCalibrationInput& input = out.input;
   input.board = board;
   input.millimetre = 1 / unitInMillimetres(job.units);
-  input.lens = job.lens;
+  input.lens = job.lens.value_or(CameraModel::opencv);
   std::vector<std::optional<BoardCorners>> corners(photos.size());
   std::vector<ImageSize> sizes(photos.size());
   Reporter::Stage stage(reporter, "boards", photos.size());
@@ -250,7 +184,7 @@ void tell(const BoardCalibrationInput& input, const BoardCalibration& found, con
                input.sightings[i].name.c_str()));
 }
 
-void writeReport(const Job& job, const BoardCalibrationInput& input, const BoardCalibration& found,
+void writeReport(const CalibrationJob& job, const BoardCalibrationInput& input, const BoardCalibration& found,
                  const std::vector<std::string>& without, Reporter& reporter) {
   const fs::path folder = job.output / "calibration";
   const double exaggeration = residualExaggeration(found);
@@ -304,8 +238,8 @@ std::vector<PlacedView> placeByBoard(const BoardCalibrationInput& input, const B
 
 /// Cameras that stand still: acquisition space is the board's in the shot `world`, else in the first that the most
 /// cameras see.
-std::vector<PlacedView> placeRig(const Job& job, const BoardCalibrationInput& input, const BoardCalibration& found,
-                                 bool photos_of_the_board, Reporter& reporter) {
+std::vector<PlacedView> placeRig(const CalibrationJob& job, const BoardCalibrationInput& input,
+                                 const BoardCalibration& found, bool photos_of_the_board, Reporter& reporter) {
   std::vector<std::size_t> seen(input.shots.size());
   for (const BoardSighting& s : input.sightings) ++seen[s.shot];
   auto world = static_cast<std::size_t>(std::max_element(seen.begin(), seen.end()) - seen.begin());
@@ -374,8 +308,8 @@ CaptureLight turnedBack(const CaptureLight& light, double turn, const std::strin
 
 /// Views with their photographs and lights. `lights` stand still in the room; each stop of a turntable has its own in
 /// the object's frame.
-Capture assemble(const Job& job, const std::vector<PlacedView>& placed_views, const std::vector<ShootPhoto>& photos,
-                 const std::vector<CaptureLight>& lights, Reporter& reporter) {
+Capture assemble(const CalibrationJob& job, const std::vector<PlacedView>& placed_views,
+                 const std::vector<ShootPhoto>& photos, const std::vector<CaptureLight>& lights, Reporter& reporter) {
   Capture capture;
   capture.folder = job.output;
   capture.units = job.units;
@@ -448,7 +382,7 @@ Capture assemble(const Job& job, const std::vector<PlacedView>& placed_views, co
 }
 
 /// With --copy the photographs lie in the capture, else it refers to where they are.
-void writeResult(const Job& job, const fs::path& root, Capture& capture, Reporter& reporter) {
+void writeResult(const CalibrationJob& job, const fs::path& root, Capture& capture, Reporter& reporter) {
   std::size_t photos = 0;
   for (CaptureView& view : capture.views)
     for (Photo& photo : view.photos) {
@@ -467,13 +401,14 @@ void writeResult(const Job& job, const fs::path& root, Capture& capture, Reporte
   reporter.result(text("%s: %zu views, %zu photographs %s", (job.output / "transforms.json").c_str(),
                        capture.views.size(), photos,
                        job.developed ? "developed into images/"
-                       : job.copy    ? "copied into images/" : "referred to where they lie (--copy copies them)"));
+                       : job.copy    ? "copied into images/"
+                                     : "referred to where they lie (--copy copies them)"));
 }
 
 // ---- The ways
 
 /// Linear images and lights where they are asked for, and the capture.
-void finish(const Job& job, LightsAndImages& studio, std::vector<PlacedView> views,
+void finish(const CalibrationJob& job, LightsAndImages& studio, std::vector<PlacedView> views,
             const std::vector<ShootPhoto>& photos, Reporter& reporter) {
   std::vector<PlacedCamera> cameras;
   for (const PlacedView& view : views) cameras.push_back({view.camera, view.view, view.camera_at});
@@ -491,17 +426,18 @@ void finish(const Job& job, LightsAndImages& studio, std::vector<PlacedView> vie
   if (studio.undistorts())
     for (PlacedView& view : views) view.camera_at.lens = Undistortion::pinholeOf(view.camera_at.lens);
   Capture capture = assemble(job, views, pictures, lights, reporter);
+  capture.integer_transfer = studio.integerTransfer();
   if (!studio.develops()) return writeResult(job, job.photos, capture, reporter);
-  capture.integer_transfer = Transfer::linear;
-  Job result = job;
+  CalibrationJob result = job;
   result.developed = true;
   writeResult(result, job.photos, capture, reporter);
 }
 
 /// One camera that nothing calibrates: photographs under many lights, as for reflectance transformation imaging.
-void calibrateOneView(const Job& job, LightsAndImages& studio, Reporter& reporter) {
+void calibrateOneView(const CalibrationJob& job, LightsAndImages& studio, Reporter& reporter) {
   std::set<std::string> left_out;
-  const std::vector<ShootPhoto> photos = photographs(job, job.photos, job.pattern, left_out);
+  const std::vector<ShootPhoto> photos = job.photographs(job.photos, job.pattern, left_out);
+  job.checkLeftOut(left_out);
   for (const ShootPhoto& photo : photos)
     if (photo.view != photos.front().view || photo.camera != photos.front().camera)
       throw badInput(photo.file.string(),
@@ -514,15 +450,14 @@ void calibrateOneView(const Job& job, LightsAndImages& studio, Reporter& reporte
          photos, reporter);
 }
 
-void calibrateByBoard(const Job& job, LightsAndImages& studio, Reporter& reporter) {
+void calibrateByBoard(const CalibrationJob& job, LightsAndImages& studio, Reporter& reporter) {
   const Board board = parseBoard(job.board);
   const bool apart = !job.board_photos.empty();
   std::set<std::string> left_out;
-  const std::vector<ShootPhoto> photos = photographs(job, job.photos, job.pattern, left_out);
+  const std::vector<ShootPhoto> photos = job.photographs(job.photos, job.pattern, left_out);
   const std::vector<ShootPhoto> of_board =
-      apart ? photographs(job, job.board_photos, job.board_pattern, left_out) : photos;
-  for (const std::string& name : job.leave_out)
-    if (!left_out.contains(name)) throw usage("--leave-out '" + name + "': no photograph has that name");
+      apart ? job.photographs(job.board_photos, job.board_pattern, left_out) : photos;
+  job.checkLeftOut(left_out);
   const bool still = job.rig || job.turntable || apart;  // the cameras stand still, the board moves
   const fs::path board_folder = apart ? job.board_photos : job.photos;
   Sightings sightings = findBoards(job, board, board_folder, of_board, still, reporter);
@@ -576,7 +511,13 @@ Triangulated markedPoint(const Capture& capture, const JsonNode& marks) {
   std::vector<Ray<AcquisitionSpace>> rays;
   for (const auto& [name, pixel] : marks.raw().items()) {
     const std::vector<double> xy = marks[name].numbers(2);
-    const auto ray = viewNamed(capture, name, marks.where()).camera.ray({xy[0], xy[1]});
+    const Camera<AcquisitionSpace>& camera = viewNamed(capture, name, marks.where()).camera;
+    if (!(xy[0] >= 0 && xy[1] >= 0 && xy[0] <= camera.lens.width && xy[1] <= camera.lens.height))
+      throw marks[name].error(
+          text("lies outside its photograph of %d x %d pixels; give x and y from the top left "
+               "corner",
+               camera.lens.width, camera.lens.height));
+    const auto ray = camera.ray({xy[0], xy[1]});
     if (!ray) throw marks[name].error("lies where the lens shows nothing");
     rays.push_back(*ray);
   }
@@ -586,7 +527,7 @@ Triangulated markedPoint(const Capture& capture, const JsonNode& marks) {
 }
 
 /// The scale that structure from motion cannot know: from a board in the photographs, two photographs or two places.
-void setScale(const Job& job, Capture& capture, Reporter& reporter) {
+void setScale(const CalibrationJob& job, Capture& capture, Reporter& reporter) {
   if (!job.board.empty() && job.board_photos.empty()) {
     const Board board = parseBoard(job.board);
     std::vector<std::optional<BoardCorners>> seen(capture.views.size());
@@ -624,6 +565,11 @@ void setScale(const Job& job, Capture& capture, Reporter& reporter) {
     similarity.scale = root["distance"].positiveNumber() / found;
     reporter.result(text("places to scale by: their rays pass by at %.3g and %.3g %s", similarity.scale * a.distance,
                          similarity.scale * b.distance, job.units.c_str()));
+    if (const double miss = std::max(a.distance, b.distance); miss > 0.05 * found)
+      reporter.warn(
+          text("%s: the marks of a place lie %.0f %% of the distance apart; look whether they show the same "
+               "place in each photograph",
+               job.points.c_str(), 100 * miss / found));
   } else {
     capture.units = "unknown";
     reporter.warn(
@@ -635,12 +581,12 @@ void setScale(const Job& job, Capture& capture, Reporter& reporter) {
   reporter.result(text("scale: %.6g %s for each unit of COLMAP's", similarity.scale, job.units.c_str()));
 }
 
-void calibrateByFeatures(const Job& job, Reporter& reporter) {
+void calibrateByFeatures(const CalibrationJob& job, Reporter& reporter) {
   fs::path model = job.colmap_model;
   std::set<std::string> left_out;
   std::vector<ShootPhoto> photos;
   if (job.sfm) {
-    photos = photographs(job, job.photos, job.pattern, left_out);
+    photos = job.photographs(job.photos, job.pattern, left_out);
     StructureFromMotionOptions options;
     options.photos = job.photos;
     for (const ShootPhoto& photo : photos) {
@@ -649,14 +595,14 @@ void calibrateByFeatures(const Job& job, Reporter& reporter) {
     }
     options.masks = job.masks;
     options.workspace = job.output / "colmap";
-    options.lens = job.lens_given ? job.lens : CameraModel::simple_radial;
-    options.most_features = job.features;
-    options.largest_side = job.largest_side;
+    options.lens = job.lens.value_or(CameraModel::simple_radial);
+    if (job.features) options.most_features = *job.features;
+    if (job.largest_side) options.largest_side = *job.largest_side;
     if (!job.lens_from.empty()) options.known_lens = oneLens(job.lens_from);
     if (!job.board_photos.empty()) {
-      const std::vector<ShootPhoto> of_board = photographs(job, job.board_photos, job.board_pattern, left_out);
-      Job lens_job = job;
-      if (!job.lens_given) lens_job.lens = CameraModel::simple_radial;
+      const std::vector<ShootPhoto> of_board = job.photographs(job.board_photos, job.board_pattern, left_out);
+      CalibrationJob lens_job = job;
+      if (!job.lens) lens_job.lens = CameraModel::simple_radial;
       Sightings sightings = findBoards(lens_job, parseBoard(job.board), job.board_photos, of_board, false, reporter);
       if (sightings.input.cameras.size() > 1)
         throw usage("--sfm with --board-photos takes one camera's lens, the board's photographs are of several");
@@ -671,17 +617,23 @@ void calibrateByFeatures(const Job& job, Reporter& reporter) {
   capture.folder = job.output;
   capture.units = job.units;
   std::erase_if(capture.views, [&](const CaptureView& view) {
-    const fs::path& file = view.photos[0].file;
-    return std::any_of(job.leave_out.begin(), job.leave_out.end(), [&](const std::string& name) {
-      return file.filename() == name || file.stem() == name || file.lexically_relative(job.photos) == name;
-    });
+    const auto name = job.leavesOut(job.photos, view.photos[0].file);
+    if (name) left_out.insert(*name);
+    return name.has_value();
   });
+  job.checkLeftOut(left_out);
   if (capture.views.empty()) throw badInput(model.string(), "no view is left; name fewer with --leave-out");
-  for (CaptureView& view : capture.views) {
-    if (job.masks.empty()) break;
-    const fs::path name = view.photos[0].file.lexically_relative(job.photos);
-    for (const fs::path& mask : {fs::path(job.masks / name) += ".png", (job.masks / name).replace_extension(".png")})
-      if (std::error_code code; view.mask_file.empty() && fs::is_regular_file(mask, code)) view.mask_file = mask;
+  if (!job.masks.empty()) {
+    std::size_t without = 0;
+    for (CaptureView& view : capture.views) {
+      view.mask_file = maskFileOf(job.masks, view.photos[0].file.lexically_relative(job.photos).generic_string());
+      without += view.mask_file.empty();
+    }
+    if (without == capture.views.size())
+      throw badInput(job.masks.string(), "holds no mask of any photograph: expected for example " +
+                                             capture.views[0].photos[0].file.filename().string() + ".png");
+    if (without > 0 && !job.sfm)  // --sfm has told of them
+      reporter.warn(job.masks.string() + ": " + std::to_string(without) + " photographs have no mask");
   }
   setScale(job, capture, reporter);
   writeResult(job, job.photos, capture, reporter);
@@ -692,61 +644,13 @@ int run(int argc, char** argv) {
                   "From photographs to a capture: cameras (lens and pose) and lights. doc/calibration.md "
                   "tells how to photograph for it.");
   CLI::App& app = program.app();
-  Job job;
-  CLI::Option* print = app.add_option("--print-board", job.print_board,
-                                      "write the board of --board as .svg or .pdf to print, and do nothing else");
-  app.add_option("PHOTOS", job.photos, "folder of photographs of the object");
-  app.add_option("-o,--output", job.output, "folder of the capture");
-  app.add_option("--photos", job.pattern,
-                 "what their paths say: {camera}, {view}, {light}, e.g. \"{camera}/{view}_{light}.jpg\"; default "
-                 "{view}.*, or {camera}/{view}.* where there are folders");
-  app.add_option("--camera", job.cameras, "NAME=PATTERN, once a camera, in place of --photos: left=left{view}.jpg");
-  app.add_option("--board", job.board,
-                 "inner corners and square of a chessboard, 9x6:25mm, or charuco:8x11:20mm:15mm:5X5_100 (squares, "
-                 "square, marker, dictionary)");
-  app.add_option(
-      "--board-photos", job.board_photos,
-      "folder of the board's photographs, by cameras that then stood still; default: the board lies in PHOTOS");
-  app.add_option("--board-pattern", job.board_pattern, "as --photos, for the board's photographs");
-  app.add_flag("--rig", job.rig, "the cameras stand still and the board moves: {view} names its moments");
-  app.add_flag("--turntable", job.turntable, "the board lies on a turntable; the last number in {view} is the stop");
-  app.add_option("--step", job.step,
-                 "degrees from stop to stop where known, counter-clockwise from above is positive; default: fitted");
-  app.add_option("--world", job.world,
-                 "rig: the shot whose board is the origin; default: the one that most cameras see");
-  static const std::map<std::string, CameraModel> kLenses{{"pinhole", CameraModel::pinhole},
-                                                          {"simple_radial", CameraModel::simple_radial},
-                                                          {"opencv", CameraModel::opencv}};
-  app.add_option_function<std::string>(
-         "--lens", [&](const std::string& word) { job.lens = kLenses.at(word), job.lens_given = true; },
-         "lens to fit: pinhole, simple_radial (k1) or opencv (k1 k2 p1 p2 k3)")
-      ->check(CLI::IsMember({"pinhole", "simple_radial", "opencv"}))
-      ->default_str("opencv");
-  app.add_option("--lens-from", job.lens_from, "capture whose lenses are held in place of fitting them");
-  CLI::Option* sfm = app.add_flag("--sfm", job.sfm, "structure from motion: COLMAP finds the cameras by features");
-  app.add_option("--colmap", job.colmap_model, "folder of a COLMAP model of PHOTOS (cameras, images: .bin or .txt)")
-      ->excludes(sfm);
-  app.add_option("--masks", job.masks, "sfm: folder of masks, name.jpg.png or name.png; black has no features");
-  app.add_option("--distance", job.distance, "scale by two photographs and the distance of their cameras: A B LENGTH")
-      ->expected(3)
-      ->type_name("A B LENGTH");
-  app.add_option("--points", job.points,
-                 "scale by two places marked in photographs: JSON {\"distance\": d, \"a\": {\"1.jpg\": [x, y], ..}, "
-                 "\"b\": ..}");
-  app.add_option("--features", job.features, "sfm: most features of a photograph")->check(CLI::Range(256, 65536));
-  app.add_option("--largest-side", job.largest_side, "sfm: larger photographs are searched at this size, pixels")
-      ->check(CLI::Range(128, 65536));
-  app.add_option(
-      "--lights", job.lights,
-      "JSON file with a list \"lights\" as in transforms.json, in acquisition space at a turntable's stop 0");
-  app.add_option("--units", job.units, "unit of the capture: m, cm or mm")->capture_default_str();
-  app.add_option("--leave-out", job.leave_out, "names of photographs to take no notice of");
-  app.add_flag("--copy", job.copy, "copy the photographs into the capture");
+  CalibrationJob job;
+  job.addOptions(app);
   LightsAndImages studio;
   studio.addOptions(app);
 
   return program.run(argc, argv, [&](Reporter& reporter) {
-    if (*print) {
+    if (!job.print_board.empty()) {
       if (job.board.empty()) job.board = "charuco:8x11:20mm:15mm:5X5_100";
       const Board board = parseBoard(job.board);
       printBoard(board, job.print_board);
@@ -754,23 +658,8 @@ int run(int argc, char** argv) {
                       board.text());
       return;
     }
-    if (job.photos.empty()) throw usage("no folder of photographs is given; see --help");
-    if (job.output.empty()) throw usage("-o names the folder of the capture; it is missing");
-    const bool by_features = job.sfm || !job.colmap_model.empty();
-    if (by_features ? studio.oneView() : job.board.empty() != studio.oneView())
-      throw usage("one way is to be given: --board, --sfm, --colmap or --one-view; see --help");
-    studio.validate();
-    if (by_features && (job.rig || job.turntable || !job.lights.empty() || studio.develops() || studio.findsLights()))
-      throw usage("--rig, --turntable, lights and --develop need --board or --one-view");
-    if (job.board.empty() && !job.board_photos.empty()) throw usage("--board-photos needs --board");
-    if (!job.colmap_model.empty() && (!job.board_photos.empty() || !job.lens_from.empty()))
-      throw usage("--colmap takes its lenses from the model: leave out --board-photos and --lens-from");
-    if (!by_features && (!job.distance.empty() || !job.points.empty() || !job.masks.empty()))
-      throw usage("--distance, --points and --masks need --sfm or --colmap");
-    if (job.step && !job.turntable) throw usage("--step needs --turntable");
-    if (job.rig && job.turntable)
-      throw usage("--rig and --turntable exclude each other: a turntable's cameras are a rig");
-    if (by_features) return calibrateByFeatures(job, reporter);
+    job.validate(studio);
+    if (job.byFeatures()) return calibrateByFeatures(job, reporter);
     studio.oneView() ? calibrateOneView(job, studio, reporter) : calibrateByBoard(job, studio, reporter);
   });
 }

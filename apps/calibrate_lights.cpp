@@ -37,8 +37,8 @@ const PlacedCamera& cameraOf(const ShootPhoto& photo, const std::vector<PlacedCa
     if ((photo.camera.empty() || c.camera == photo.camera) &&
         (photo.view.empty() || c.view.empty() || c.view == photo.view))
       return c;
-  throw badInput(photo.file.string(), "belongs to no calibrated camera (camera '" + photo.camera + "', view '" +
-                                          photo.view + "')");
+  throw badInput(photo.file.string(),
+                 "belongs to no calibrated camera (camera '" + photo.camera + "', view '" + photo.view + "')");
 }
 
 bool samePicture(const ShootPhoto& a, const ShootPhoto& b) {
@@ -67,9 +67,7 @@ std::string line(const char* format, auto... values) {
 }  // namespace
 
 void LightsAndImages::addOptions(CLI::App& app) {
-  const auto add = [&](const char* name, auto& value, const char* help) {
-    return app.add_option(name, value, help);
-  };
+  const auto add = [&](const char* name, auto& value, const char* help) { return app.add_option(name, value, help); };
   const char* kImages = "Images";
   app.add_flag("--develop", develop_, "write linear EXR images into the capture: response undone, exposures merged")
       ->group(kImages);
@@ -102,6 +100,9 @@ void LightsAndImages::addOptions(CLI::App& app) {
   add("--spheres", spheres_, "pattern of photographs of mirror balls under each {light}, below PHOTOS")->group(kLights);
   add("--sphere", circles_, "x,y,radius in pixels of a ball, roughly; once for each ball")->group(kLights);
   add("--sphere-mask", sphere_mask_, "mask of the one ball, in place of --sphere")->group(kLights);
+  app.add_flag("--keep-spheres", keep_spheres_,
+               "the circles of --sphere or --sphere-mask are right: no outline is fitted to the photographs")
+      ->group(kLights);
   add("--sphere-radius", sphere_radius_, "true radius of the balls, units: two balls or more then place near lights")
       ->check(CLI::PositiveNumber)
       ->group(kLights);
@@ -130,8 +131,24 @@ void LightsAndImages::addOptions(CLI::App& app) {
 }
 
 void LightsAndImages::validate() const {
-  if (undistort_ && !develop_) throw usage("--undistort", "needs --develop");
-  if ((!circles_.empty() || !sphere_mask_.empty() || sphere_radius_ > 0 || matt_) && spheres_.empty())
+  for (const auto& [option, given] :
+       std::initializer_list<std::pair<const char*, bool>>{{"--undistort", undistort_},
+                                                           {"--exposures", !exposures_.empty()},
+                                                           {"--dark", !dark_.empty()},
+                                                           {"--flat", !flat_.empty()},
+                                                           {"--ignore-color", !ignored_.empty()},
+                                                           {"--input-space", input_space_ != "lin_rec709"}})
+    if (given && !develop_) throw usage(option, "needs --develop");
+  if (encoding_ != "srgb" && encoding_ != "linear") {
+    if (!develop_) throw usage("--encoding", "needs --develop, but for srgb and linear");
+    if (std::error_code code; encoding_ != "measure" && !fs::is_regular_file(encoding_, code))
+      throw usage("--encoding", "'" + encoding_ +
+                                    "': expected srgb, linear, measure, or a file that --encoding "
+                                    "measure wrote (response.csv)");
+  }
+  if (white_.empty() && (!white_rectangle_.empty() || !white_normal_.empty() || !white_position_.empty()))
+    throw usage("--white-rectangle, --white-normal and --white-position", "need --white");
+  if ((!circles_.empty() || !sphere_mask_.empty() || sphere_radius_ > 0 || matt_ || keep_spheres_) && spheres_.empty())
     throw usage("--sphere", "needs --spheres, the pattern of the photographs that show the balls");
   if (!spheres_.empty() && circles_.empty() == sphere_mask_.empty())
     throw usage("--spheres", "needs the balls: --sphere x,y,radius for each, or --sphere-mask FILE");
@@ -164,7 +181,7 @@ Camera<AcquisitionSpace> LightsAndImages::oneViewCamera(const ImageSize& size) c
   return camera;
 }
 
-Exposure LightsAndImages::exposureOf(const ShootPhoto& photo, Prepared& prepared) const {
+Exposure LightsAndImages::exposureOf(const ShootPhoto& photo, bool bracketed, Prepared& prepared) const {
   Photograph p = readPhotograph(photo.file, prepared.white_balance);
   // The first RAW file's balance is every file's: a camera on automatic must not colour the lights.
   if (p.is_raw && !prepared.white_balance) prepared.white_balance = p.white_balance;
@@ -173,11 +190,21 @@ Exposure LightsAndImages::exposureOf(const ShootPhoto& photo, Prepared& prepared
     auto row = prepared.seconds.find(photo.exposure);
     if (row == prepared.seconds.end()) row = prepared.seconds.find(photo.file.filename().string());
     if (row == prepared.seconds.end())
-      throw badInput(exposures_.string(), "has no row for '" + photo.exposure + "' nor for '" +
-                                              photo.file.filename().string() + "'");
+      throw badInput(exposures_.string(),
+                     "has no row for '" + photo.exposure + "' nor for '" + photo.file.filename().string() + "'");
     e.amount = row->second[0];
-  } else if (p.seconds) {
-    e.amount = *p.seconds * p.iso.value_or(100) / 100 / square(p.f_number.value_or(1));
+  } else {
+    // An unknown exposure cannot be set against another.
+    if (!p.seconds && (bracketed || prepared.timed.value_or(false)))
+      throw badInput(photo.file.string(),
+                     std::string("its EXIF tells no exposure time, ") +
+                         (bracketed ? "and it is one of several exposures of a picture" : "which others' does") +
+                         "; give the times with --exposures");
+    if (p.seconds && !prepared.timed.value_or(true))
+      throw badInput(photo.file.string(),
+                     "its EXIF tells an exposure time, which others' does not; give the times with --exposures");
+    prepared.timed = p.seconds.has_value();
+    if (p.seconds) e.amount = *p.seconds * p.iso.value_or(100) / 100 / square(p.f_number.value_or(1));
   }
   if (!(e.amount > 0)) throw badInput(exposures_.string(), "gives " + photo.file.string() + " no time above 0");
   return e;
@@ -196,13 +223,13 @@ LightsAndImages::Prepared& LightsAndImages::prepare(const std::vector<ShootPhoto
   // The scale of all: the longest exposure's values stay as they are.
   prepared.largest_amount = 0;
   for (const ShootPhoto& photo : groups.front())
-    prepared.largest_amount = std::max(prepared.largest_amount, exposureOf(photo, prepared).amount);
+    prepared.largest_amount =
+        std::max(prepared.largest_amount, exposureOf(photo, groups.front().size() > 1, prepared).amount);
   if (encoding_ == "measure") {
-    const auto longest = std::max_element(groups.begin(), groups.end(), [](const auto& a, const auto& b) {
-      return a.size() < b.size();
-    });
+    const auto longest = std::max_element(groups.begin(), groups.end(),
+                                          [](const auto& a, const auto& b) { return a.size() < b.size(); });
     std::vector<Exposure> bracket;
-    for (const ShootPhoto& photo : *longest) bracket.push_back(exposureOf(photo, prepared));
+    for (const ShootPhoto& photo : *longest) bracket.push_back(exposureOf(photo, longest->size() > 1, prepared));
     IgnoredColour ignored;
     if (!ignored_.empty())
       ignored = {{static_cast<float>(ignored_[0] / 255), static_cast<float>(ignored_[1] / 255),
@@ -231,7 +258,7 @@ LightsAndImages::Prepared& LightsAndImages::prepare(const std::vector<ShootPhoto
 
 Merged LightsAndImages::picture(const std::vector<ShootPhoto>& bracket, Prepared& prepared) const {
   std::vector<Exposure> exposures;
-  for (const ShootPhoto& photo : bracket) exposures.push_back(exposureOf(photo, prepared));
+  for (const ShootPhoto& photo : bracket) exposures.push_back(exposureOf(photo, bracket.size() > 1, prepared));
   MergeOptions options;
   options.saturated = saturated_;
   if (!ignored_.empty())
@@ -284,17 +311,19 @@ std::vector<ShootPhoto> LightsAndImages::developed(const std::vector<ShootPhoto>
   reporter.count("pixels.saturated", saturated);
   reporter.count("pixels.dark", dark);
   reporter.count("pixels.clamped", clamped);
-  reporter.result(line("%zu linear images from %zu photographs: %zu pixels saturated and masked, %zu under 1 %% in "
-                       "their longest exposure and kept, %zu values clamped to half",
-                       groups.size(), photos.size(), saturated, dark, clamped));
+  reporter.result(
+      line("%zu linear images from %zu photographs: %zu pixels saturated and masked, %zu under 1 %% in "
+           "their longest exposure and kept, %zu values clamped to half",
+           groups.size(), photos.size(), saturated, dark, clamped));
   return out;
 }
 
 std::vector<CaptureLight> LightsAndImages::fromSpheres(const fs::path& folder, const std::vector<PlacedCamera>& cameras,
-                                                       Reporter& reporter) const {
-  // One exposure of each is enough: the first.
+                                                       Prepared& prepared, Reporter& reporter) const {
+  // One exposure of each is enough for outlines and highlights: the first.
+  const auto groups = pictures(findPhotos(folder, spheres_));
   std::vector<ShootPhoto> photos;
-  for (const auto& group : pictures(findPhotos(folder, spheres_))) photos.push_back(group.front());
+  for (const auto& group : groups) photos.push_back(group.front());
   if (photos.front().light.empty()) throw usage("--spheres", "needs {light} in its pattern");
   const PlacedCamera& camera = cameraOf(photos.front(), cameras);
   const Intrinsics& lens = camera.at.lens;
@@ -313,8 +342,7 @@ std::vector<CaptureLight> LightsAndImages::fromSpheres(const fs::path& folder, c
         grey.data()[i] += p.pixels.data()[i * channels + c] / static_cast<float>(channels);
       if (std::isfinite(grey.data()[i])) mean.data()[i] += grey.data()[i] / static_cast<float>(photos.size());
     }
-    images.push_back(matt_ ? linearImage({p.pixels, 1, p.is_linear || encoding_ == "linear"}, CameraResponse::srgb())
-                           : grey);
+    images.push_back(matt_ ? ImageF() : std::move(grey));
   }
   std::vector<ImageCircle> circles;
   for (const std::string& text : circles_) {
@@ -324,6 +352,10 @@ std::vector<CaptureLight> LightsAndImages::fromSpheres(const fs::path& folder, c
   if (!sphere_mask_.empty()) circles.push_back(circleOfMask(readMask(sphere_mask_)));
   std::vector<FittedOutline> outlines;
   for (const ImageCircle& circle : circles) {
+    if (keep_spheres_) {
+      outlines.push_back(givenOutline(lens, circle));
+      continue;
+    }
     outlines.push_back(fitOutline(mean, lens, outlineFromCircle(lens, circle)));
     double x = 0, y = 0, r = 0;
     const auto pixels = outlinePixels(lens, outlines.back().outline, 64);
@@ -339,12 +371,16 @@ std::vector<CaptureLight> LightsAndImages::fromSpheres(const fs::path& folder, c
     CaptureLight light;
     light.name = photos[i].light;
     if (matt_) {
-      const auto fit = fitLambertBall(images[i], lens, outlines[0].outline, {.white = saturated_});
+      // Shading is measured as the object's pictures are: what is saturated is masked in them.
+      const auto fit = fitLambertBall(picture(groups[i], prepared).radiance, lens, outlines[0].outline);
       if (!fit) {
         without.push_back(light.name);
         continue;
       }
       light.direction = camera.at.pose * fit->direction;
+      reporter.result(line("light %s: direction %.4f, %.4f, %.4f +- %.2g degrees", light.name.c_str(),
+                           light.direction.raw().x, light.direction.raw().y, light.direction.raw().z,
+                           degrees(fit->sigma)));
       lights.push_back(light);
       continue;
     }
@@ -367,9 +403,10 @@ std::vector<CaptureLight> LightsAndImages::fromSpheres(const fs::path& folder, c
                            near->position.raw().y, near->position.raw().z,
                            std::sqrt(c.row[0].x + c.row[1].y + c.row[2].z)));
       if (near->miss > 3)
-        reporter.warn(line("light %s: the balls disagree by %.1f times what is to be expected; look whether each "
-                           "shows one highlight, and whether --sphere-radius is right",
-                           light.name.c_str(), near->miss));
+        reporter.warn(
+            line("light %s: the balls disagree by %.1f times what is to be expected; look whether each "
+                 "shows one highlight, and whether --sphere-radius is right",
+                 light.name.c_str(), near->miss));
     } else {
       reporter.result(line("light %s: direction %.4f, %.4f, %.4f +- %.2g degrees", light.name.c_str(),
                            distant->direction.raw().x, distant->direction.raw().y, distant->direction.raw().z,
@@ -416,7 +453,9 @@ std::vector<CaptureLight> LightsAndImages::fromLp(const std::vector<ShootPhoto>&
 
 std::vector<CaptureLight> LightsAndImages::lights(const fs::path& folder, const std::vector<ShootPhoto>& photos,
                                                   const std::vector<PlacedCamera>& cameras, Reporter& reporter) {
-  return !spheres_.empty() ? fromSpheres(folder, cameras, reporter)
+  if (std::any_of(photos.begin(), photos.end(), [](const ShootPhoto& p) { return p.light.empty(); }))
+    throw usage("--photos", "needs {light}: which light a photograph was taken under is told by its name");
+  return !spheres_.empty() ? fromSpheres(folder, cameras, prepare(photos, reporter), reporter)
          : !lp_.empty()    ? fromLp(photos, cameras, reporter)
                            : readDome(dome_, cameras.front().at);
 }
@@ -433,6 +472,11 @@ void LightsAndImages::setStrengthsOf(std::vector<CaptureLight>& lights, const fs
       if (group == groups.end())
         throw badInput(folder.string(), "has no photograph of the white target under light '" + light.name + "'");
       const ImageF radiance = picture(*group, *prepared_).radiance;
+      if (const auto& r = white_rectangle_; !(r[0] >= 0 && r[1] >= 0 && r[2] >= 1 && r[3] >= 1 &&
+                                              r[0] + r[2] <= radiance.width() && r[1] + r[3] <= radiance.height()))
+        throw usage("--white-rectangle", line("x,y,width,height of %g,%g,%g,%g do not lie in the photographs' %d x %d "
+                                              "pixels",
+                                              r[0], r[1], r[2], r[3], radiance.width(), radiance.height()));
       Image8 region(radiance.width(), radiance.height(), 1);
       const int x0 = static_cast<int>(white_rectangle_[0]), y0 = static_cast<int>(white_rectangle_[1]);
       for (int y = std::max(0, y0); y < std::min<double>(region.height(), y0 + white_rectangle_[3]); ++y)

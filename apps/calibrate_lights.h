@@ -35,11 +35,14 @@ class LightsAndImages {
 
   bool develops() const { return develop_; }
   bool undistorts() const { return undistort_; }
+  /// What integer photographs of the capture mean; developed ones are linear.
+  Transfer integerTransfer() const { return develop_ || encoding_ == "linear" ? Transfer::linear : Transfer::srgb; }
   /// One linear EXR for each camera, view and light, from all its exposures, in `output`/images; with --undistort by
   /// the lens of its camera. Returns them as a shoot.
   std::vector<ShootPhoto> developed(const std::vector<ShootPhoto>& photos, const std::vector<PlacedCamera>& cameras,
                                     const std::filesystem::path& output, Reporter& reporter);
 
+  bool setsStrengths() const { return !strengths_.empty() || !white_.empty(); }
   bool findsLights() const { return !spheres_.empty() || !lp_.empty() || !dome_.empty(); }
   /// The lights of the ways asked for, with strengths (1 where nothing tells them). Call after developed().
   std::vector<CaptureLight> lights(const std::filesystem::path& folder, const std::vector<ShootPhoto>& photos,
@@ -55,16 +58,17 @@ class LightsAndImages {
     double largest_amount = 1;
     std::optional<std::array<float, 4>> white_balance;
     std::map<std::string, std::vector<double>> seconds;
+    std::optional<bool> timed;  ///< whether the photographs' EXIF tells their exposure
   };
-  Exposure exposureOf(const ShootPhoto& photo, Prepared& prepared) const;
+  Exposure exposureOf(const ShootPhoto& photo, bool bracketed, Prepared& prepared) const;
   Prepared& prepare(const std::vector<ShootPhoto>& photos, Reporter& reporter);
   Merged picture(const std::vector<ShootPhoto>& bracket, Prepared& prepared) const;
   std::vector<CaptureLight> fromSpheres(const std::filesystem::path& folder, const std::vector<PlacedCamera>& cameras,
-                                        Reporter& reporter) const;
+                                        Prepared& prepared, Reporter& reporter) const;
   std::vector<CaptureLight> fromLp(const std::vector<ShootPhoto>& photos, const std::vector<PlacedCamera>& cameras,
                                    Reporter& reporter) const;
 
-  bool develop_ = false, undistort_ = false, matt_ = false;
+  bool develop_ = false, undistort_ = false, matt_ = false, keep_spheres_ = false;
   std::string one_view_, encoding_ = "srgb", input_space_ = "lin_rec709", spheres_, white_;
   std::filesystem::path exposures_, lp_, dome_, strengths_, sphere_mask_;
   std::vector<std::filesystem::path> dark_, flat_;

@@ -103,11 +103,10 @@ struct Drawn {
 void expectSameCamera(const Camera<AcquisitionSpace>& a, const Camera<AcquisitionSpace>& b) {
   RC_ASSERT(a.lens.width == b.lens.width && a.lens.height == b.lens.height);
   RC_ASSERT(distance(a.center(), b.center()) < 1e-9 * (1 + length(a.center().raw())));
-  for (int i = 0; i < 3; ++i)
-    RC_ASSERT(length(a.pose.rotation().raw().row[i] - b.pose.rotation().raw().row[i]) < 1e-9);
-  for (const auto member : {&Intrinsics::fl_x, &Intrinsics::fl_y, &Intrinsics::cx, &Intrinsics::cy, &Intrinsics::skew,
-                            &Intrinsics::k1, &Intrinsics::k2, &Intrinsics::k3, &Intrinsics::k4, &Intrinsics::p1,
-                            &Intrinsics::p2})
+  for (int i = 0; i < 3; ++i) RC_ASSERT(length(a.pose.rotation().raw().row[i] - b.pose.rotation().raw().row[i]) < 1e-9);
+  for (const auto member :
+       {&Intrinsics::fl_x, &Intrinsics::fl_y, &Intrinsics::cx, &Intrinsics::cy, &Intrinsics::skew, &Intrinsics::k1,
+        &Intrinsics::k2, &Intrinsics::k3, &Intrinsics::k4, &Intrinsics::p1, &Intrinsics::p2})
     RC_ASSERT(std::fabs(a.lens.*member - b.lens.*member) < 1e-9 * (1 + std::fabs(a.lens.*member)));
 }
 void expectSameViews(const Capture& a, const Capture& b) {
@@ -119,12 +118,12 @@ const std::vector<CameraModel> kAll{CameraModel::pinhole, CameraModel::simple_ra
                                     CameraModel::opencv_fisheye};
 
 RC_GTEST_PROP(Exchange, TransformsComeBack, ()) {
-  Drawn drawn({CameraModel::pinhole, CameraModel::opencv, CameraModel::opencv_fisheye, CameraModel::orthographic}, true);
+  Drawn drawn({CameraModel::pinhole, CameraModel::opencv, CameraModel::opencv_fisheye, CameraModel::orthographic},
+              true);
   drawn.light(*rc::gen::element(LightKind::point, LightKind::directional));
   drawn.capture.applied_transform = {2, 0, 0, 1, 0, 2, 0, 2, 0, 0, 2, 3};
   for (CaptureView& v : drawn.capture.views)
-    if (v.camera.lens.isOrthographic())
-      v.camera.lens.k1 = v.camera.lens.k2 = v.camera.lens.k3 = 0;
+    if (v.camera.lens.isOrthographic()) v.camera.lens.k1 = v.camera.lens.k2 = v.camera.lens.k3 = 0;
   const Capture back = drawn.there_and_back("transforms", "transforms");
   expectSameViews(drawn.capture, back);
   RC_ASSERT(back.applied_transform == drawn.capture.applied_transform);
@@ -191,6 +190,53 @@ RC_GTEST_PROP(Exchange, LightsOfOneViewComeBackInTheCamerasFrame, ()) {
                is = (b.inverse() * back.lights[i].direction).raw();
     RC_ASSERT(length(was - is) < 1e-12);
     if (format == "diligent") RC_ASSERT(back.lights[i].strength == drawn.capture.lights[i].strength);
+  }
+}
+
+RC_GTEST_PROP(Exchange, DiligentMvComesBackWithEachViewsLights, ()) {
+  Drawn drawn({CameraModel::pinhole}, true);
+  drawn.light(LightKind::directional);
+  drawn.capture.units = "mm";
+  drawn.capture.integer_transfer = Transfer::linear;
+  for (CaptureView& v : drawn.capture.views) v.camera.lens = drawn.capture.views[0].camera.lens;
+  drawn.capture.views[0].mask_file = drawn.photo("mask");
+  const Capture back = drawn.there_and_back("diligent-mv", "diligent-mv");
+  expectSameViews(drawn.capture, back);
+  RC_ASSERT(back.units == "mm" && back.integer_transfer == Transfer::linear);
+  for (std::size_t v = 0; v < back.views.size(); ++v) {
+    RC_ASSERT(back.views[v].mask_file.empty() == (v > 0));
+    RC_ASSERT(back.views[v].photos.size() == drawn.capture.views[v].photos.size());
+    for (std::size_t p = 0; p < back.views[v].photos.size(); ++p) {
+      const Photo &was = drawn.capture.views[v].photos[p], &is = back.views[v].photos[p];
+      const CaptureLight& a = drawn.capture.lights[was.light->value];
+      const CaptureLight& b = back.lights[is.light->value];
+      RC_ASSERT(length(a.direction.raw() - b.direction.raw()) < 1e-9);
+      RC_ASSERT(a.strength == b.strength);
+      RC_ASSERT(fs::equivalent(was.file, is.file));
+    }
+  }
+}
+RC_GTEST_PROP(Exchange, OpenIlluminationComesBack, ()) {
+  Drawn drawn({CameraModel::pinhole}, false);
+  drawn.light(LightKind::point);
+  if (*rc::gen::arbitrary<bool>())  // what the format itself has: square pixels, the middle of the picture
+    for (CaptureView& v : drawn.capture.views)
+      v.camera.lens.fl_y = v.camera.lens.fl_x, v.camera.lens.cx = 0.5 * kWidth, v.camera.lens.cy = 0.5 * kHeight;
+  const bool masked = *rc::gen::arbitrary<bool>();
+  if (masked) drawn.capture.views[0].mask_file = drawn.photo("mask");
+  // One cell missing: a view need not have all lights.
+  if (drawn.capture.lights.size() > 1) drawn.capture.views[0].photos.erase(drawn.capture.views[0].photos.begin());
+  const Capture back = drawn.there_and_back("openillumination", "openillumination");
+  expectSameViews(drawn.capture, back);
+  for (std::size_t v = 0; v < back.views.size(); ++v) {
+    RC_ASSERT(back.views[v].name == drawn.capture.views[v].name);
+    RC_ASSERT(back.views[v].mask_file.empty() == !(masked && v == 0));
+    RC_ASSERT(back.views[v].photos.size() == drawn.capture.views[v].photos.size());
+    for (std::size_t p = 0; p < back.views[v].photos.size(); ++p) {
+      const Photo &was = drawn.capture.views[v].photos[p], &is = back.views[v].photos[p];
+      RC_ASSERT(drawn.capture.lights[was.light->value].position == back.lights[is.light->value].position);
+      RC_ASSERT(fs::equivalent(was.file, is.file));
+    }
   }
 }
 
@@ -272,8 +318,8 @@ TEST(ImportByHand, DiligentMvDirectionsStandInEachCamerasFrame) {
       Mat_VarWrite(mat, v, compressed ? MAT_COMPRESSION_ZLIB : MAT_COMPRESSION_NONE);
       Mat_VarFree(v);
     };
-    write("KK", {10, 0, 0, 0, 12, 0, 3, 2, 1}, 3);    // columns after each other
-    write("Rc_1", {0, 1, 0, -1, 0, 0, 0, 0, 1}, 3);   // x_c = -y, y_c = x
+    write("KK", {10, 0, 0, 0, 12, 0, 3, 2, 1}, 3);   // columns after each other
+    write("Rc_1", {0, 1, 0, -1, 0, 0, 0, 0, 1}, 3);  // x_c = -y, y_c = x
     write("Tc_1", {0, 0, 5}, 1);
     Mat_Close(mat);
     const Capture capture = importCapture("diligent-mv", files.folder.path(), {}, Reporter::silent());
@@ -290,13 +336,15 @@ TEST(ImportByHand, DiligentMvDirectionsStandInEachCamerasFrame) {
 
 TEST(ImportByHand, OpenIlluminationLightsAreRowsOfTheArray) {
   Files files;
-  for (const char* light : {"001", "003"}) files.photo(std::string("Lights/") + light + "/raw_undistorted/CA2.png", 60, 40);
+  for (const char* light : {"001", "003"})
+    files.photo(std::string("Lights/") + light + "/raw_undistorted/CA2.png", 60, 40);
   files.photo("output/obj_masks/CA2.png", 60, 40);
   files.text("output/transforms_train.json", R"({"camera_angle_x": 1.0, "frames": {"CA2": {"file_path": "x/CA2.JPG",
     "light_idx": 1, "calib_imgw": 30, "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,3],[0,0,0,1]]}}})");
   std::string header = "{'descr': '<f4', 'fortran_order': False, 'shape': (4, 3), }";
   header += std::string(118 - header.size() - 1, ' ') + "\n";
-  std::string npy = std::string("\x93NUMPY\x01\x00", 8) + std::string(1, static_cast<char>(118)) + std::string(1, '\0') + header;
+  std::string npy =
+      std::string("\x93NUMPY\x01\x00", 8) + std::string(1, static_cast<char>(118)) + std::string(1, '\0') + header;
   for (int i = 0; i < 12; ++i) {
     const float v = static_cast<float>(i);
     npy.append(reinterpret_cast<const char*>(&v), 4);
@@ -337,10 +385,34 @@ TEST(ExportByHand, WhatAFormatCannotHoldIsToldOrRefused) {
   view.mask_file = folder / "a.png";
   capture.views = {view};
   Reporter reporter(ProgressMode::none, LogLevel::error);
+  capture.units = "cm";
+  capture.bounds = Box<AcquisitionSpace>{{-1, -1, -1}, {1, 1, 1}};
+  capture.applied_transform = {2, 0, 0, 1, 0, 2, 0, 2, 0, 0, 2, 3};
   exportCapture("middlebury", capture, folder / "m", reporter);
   EXPECT_NE(warnings(reporter).find("the lights are lost"), std::string::npos);
   EXPECT_NE(warnings(reporter).find("the masks are lost"), std::string::npos);
+  EXPECT_NE(warnings(reporter).find("applied_transform"), std::string::npos);
+  EXPECT_EQ(warnings(reporter).find("bounding box"), std::string::npos);  // Middlebury's README has it
+  exportCapture("diligent-mv", capture, folder / "mv", reporter);
+  for (const char* words : {"in cm here and in mm in diligent-mv", "count as sRGB here and as linear in diligent-mv",
+                            "the bounding box is lost", "each view has its own lights"})
+    EXPECT_NE(warnings(reporter).find(words), std::string::npos) << words;
   EXPECT_THROW(exportCapture("nrhints", capture, folder / "n", reporter), Error);
+  EXPECT_THROW(exportCapture("openillumination", capture, folder / "o", reporter), Error);  // no point light
+  Capture near = capture;
+  near.lights[0].kind = LightKind::point;
+  near.lights[0].strength = {2, 2, 2};
+  near.views[0].camera.lens.cx += 1;
+  near.views[0].photos.push_back(near.views[0].photos[0]);
+  exportCapture("openillumination", near, folder / "o", reporter);
+  for (const char* words : {"the strengths of the lights are lost: openillumination",
+                            "programs that read the angle alone", "one photograph for each light"})
+    EXPECT_NE(warnings(reporter).find(words), std::string::npos) << words;
+  EXPECT_THROW(exportCapture("diligent-mv", near, folder / "mv2", reporter), Error);  // a point light
+  Capture two = capture;
+  two.views.push_back(two.views[0]);
+  two.views[1].camera.lens.fl_x += 1;
+  EXPECT_THROW(exportCapture("diligent-mv", two, folder / "mv3", reporter), Error);  // two lenses
   capture.views[0].camera.lens.k1 = 0.1;
   capture.views[0].camera.lens.model = CameraModel::opencv;
   EXPECT_THROW(exportCapture("middlebury", capture, folder / "m2", reporter), Error);

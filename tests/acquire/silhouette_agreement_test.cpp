@@ -1,4 +1,4 @@
-// Masks judged and mended by the hull of the other views; pictures of masks.
+// Masks and poses judged and mended by the hull of the other views; pictures of masks.
 #include "acquire/silhouette_agreement.h"
 
 #include <gtest/gtest.h>
@@ -9,6 +9,7 @@
 
 #include "acquire/camera_import.h"
 #include "acquire/mask_pictures.h"
+#include "acquire/pose_adjustment.h"
 #include "acquire/synthetic_object.h"
 #include "base/error.h"
 #include "base/image_io.h"
@@ -78,6 +79,80 @@ TEST(MendSilhouettes, AHoleThatSeveralViewsSeeStays) {
   const auto before = views;
   mendSilhouettes(views, std::nullopt, Reporter::silent());
   for (std::size_t i = 0; i < views.size(); ++i) EXPECT_GT(iouOf(views[i].mask, before[i].mask), 0.995) << i;
+}
+
+// How far a camera shows points of the object from where they belong, pixels.
+double shiftOf(const Camera<Space>& camera, const Camera<Space>& truth) {
+  double sum = 0, count = 0;
+  for (std::size_t i = 0; i < bumpy().positions.size(); i += 97) {
+    const auto a = camera.project(bumpy().positions[i]), b = truth.project(bumpy().positions[i]);
+    sum += std::hypot(a->pixel.x - b->pixel.x, a->pixel.y - b->pixel.y), ++count;
+  }
+  return sum / count;
+}
+
+// A camera turned about itself and moved along its picture.
+void disturb(Camera<Space>& camera, double turn_degrees, double right, double down) {
+  const Mat3 turn = rotationAbout({0, 0, 1}, radians(turn_degrees));
+  camera.pose =
+      Rigid<Space, CameraSpace>(Orthogonal<Space, CameraSpace>(camera.pose.rotation().raw() * turn),
+                                camera.pose.origin() + camera.pose.rotation() * Vector<CameraSpace>(right, down, 0));
+}
+
+TEST(AdjustPoses, TheViewThatWasMovedComesBackAndTheOthersStay) {
+  const auto truth = viewsOf(bumpy(), 16, 200);
+  auto views = truth;
+  disturb(views[5].camera, 1, 0.04, -0.03);
+  const double before = shiftOf(views[5].camera, truth[5].camera);
+  const PoseAdjustment adjustment = adjustPoses(views, {}, Reporter::silent());
+  EXPECT_TRUE(adjustment.kept);
+  EXPECT_GT(adjustment.views[5].iou_after, adjustment.views[5].iou_before);
+  EXPECT_GT(before, 3);
+  EXPECT_LT(shiftOf(views[5].camera, truth[5].camera), before / 3);
+  double others = 0;
+  for (std::size_t i = 0; i < views.size(); ++i)
+    if (i != 5) others += shiftOf(views[i].camera, truth[i].camera) / 15;
+  EXPECT_LT(others, 1);
+  std::printf("one view off by %.2f pixels, then %.2f, the others by %.2f; agreement %.4f, then %.4f\n", before,
+              shiftOf(views[5].camera, truth[5].camera), others, adjustment.iou_before, adjustment.iou_after);
+}
+
+// The poses of a whole rig that was knocked: what is asked for is agreement, and poses nearer to the truth.
+TEST(AdjustPoses, DisturbedPosesAgreeBetterAndComeNearerToTheTruth) {
+  const auto truth = viewsOf(bumpy(), 16, 200);
+  auto views = truth;
+  std::mt19937 random(6);
+  std::normal_distribution<double> normal;
+  for (SilhouetteView& view : views) {
+    // About 0.3 degrees in all about the camera's own axes: 2 pixels of 200 across 30 degrees.
+    const Mat3 turn = rotationAbout({1, 0, 0}, radians(0.17 * normal(random))) *
+                      rotationAbout({0, 1, 0}, radians(0.17 * normal(random))) *
+                      rotationAbout({0, 0, 1}, radians(0.17 * normal(random)));
+    view.camera.pose = Rigid<Space, CameraSpace>(
+        Orthogonal<Space, CameraSpace>(view.camera.pose.rotation().raw() * turn), view.camera.pose.origin());
+  }
+  double before = 0, after = 0;
+  for (std::size_t i = 0; i < views.size(); ++i) before += shiftOf(views[i].camera, truth[i].camera) / 16;
+  const PoseAdjustment adjustment = adjustPoses(views, {}, Reporter::silent());
+  for (std::size_t i = 0; i < views.size(); ++i) after += shiftOf(views[i].camera, truth[i].camera) / 16;
+  std::printf("all views off by %.2f pixels, then %.2f; agreement %.4f, then %.4f\n", before, after,
+              adjustment.iou_before, adjustment.iou_after);
+  EXPECT_TRUE(adjustment.kept);
+  EXPECT_GT(adjustment.iou_after, adjustment.iou_before + 0.005);
+  EXPECT_LT(after, 0.7 * before);
+}
+
+TEST(AdjustPoses, RightPosesStayWhereTheyAre) {
+  const auto truth = viewsOf(bumpy(), 16, 200);
+  auto views = truth;
+  const PoseAdjustment adjustment = adjustPoses(views, {}, Reporter::silent());
+  for (std::size_t i = 0; i < views.size(); ++i) EXPECT_LT(shiftOf(views[i].camera, truth[i].camera), 0.6);
+  EXPECT_GE(std::max(adjustment.iou_after, adjustment.iou_before), adjustment.iou_before);
+  PoseAdjustmentOptions nonsense;
+  nonsense.uncertainty = 0;
+  EXPECT_THROW(adjustPoses(views, nonsense, Reporter::silent()), Error);
+  views.resize(3);
+  EXPECT_FALSE(adjustPoses(views, {}, Reporter::silent()).kept);
 }
 
 // Photographs of the object before something else: a texture of two colours, lit from the camera.

@@ -1,8 +1,12 @@
 // `srf calibrate` as a user meets it: pictures of a board on a turntable become a capture whose views and lights are in
 // the object's frame.
 #include <gtest/gtest.h>
+#include <sys/wait.h>
 
+#include <cmath>
 #include <cstdlib>
+#include <functional>
+#include <tuple>
 
 #include "acquire/board.h"
 #include "base/camera.h"
@@ -110,6 +114,169 @@ TEST(Calibrate, ATurntablesViewsAndLightsAreInTheObjectsFrame) {
                        first.pose.inverseTimes(Point<AcquisitionSpace>(0.4, 0.1, 0.5))),
               1e-9);
   }
+}
+
+struct Outcome {
+  int code = 0;
+  std::string said;
+};
+Outcome calibrate(const test::TemporaryFolder& folder, const std::string& words) {
+  const int status = std::system(("cd " + folder.path().string() + " && " + SRF_PROGRAMS + "/srf calibrate " + words +
+                                  " --progress none > out.txt 2>&1")
+                                     .c_str());
+  return {WEXITSTATUS(status), readTextFile(folder / "out.txt")};
+}
+
+/// A table top under three lights: a matt ball, a white card that faces the camera, a dark ground.
+struct TableTop {
+  static constexpr int kWidth = 160, kHeight = 120;
+  std::vector<Vec3> directions, irradiances;  // a ring of lights 40 degrees off the camera's axis
+  TableTop() {
+    for (int l = 0; l < 6; ++l) {
+      const double a = 2 * kPi * l / 6;
+      directions.push_back(
+          {std::sin(radians(40)) * std::cos(a), std::sin(radians(40)) * std::sin(a), std::cos(radians(40))});
+      irradiances.push_back(Vec3{2, 1.6, 1.2} + 0.1 * l * Vec3{-1, 0, 1});
+    }
+  }
+  static double vignetting(int x, int y) {
+    return 1 - 0.4 * (square(x + 0.5 - 0.5 * kWidth) + square(y + 0.5 - 0.5 * kHeight)) /
+                   (square(0.5 * kWidth) + square(0.5 * kHeight));
+  }
+  static Image8 encoded(const std::function<Vec3(int, int)>& linear) {
+    Image8 out(kWidth, kHeight, 3);
+    for (int y = 0; y < kHeight; ++y)
+      for (int x = 0; x < kWidth; ++x)
+        for (int c = 0; c < 3; ++c)
+          out.at(x, y, c) = static_cast<std::uint8_t>(
+              std::lround(255 * std::min(1.f, srgbFromLinear(static_cast<float>(linear(x, y)[c])))));
+    return out;
+  }
+  Vec3 radiance(std::size_t light, double x, double y) const {
+    const Vec3 n{(x - 110) / 30, -(y - 60) / 30, 0};
+    const double rest = 1 - dot(n, n);
+    const double cosine = rest > 0 ? dot(n + Vec3{0, 0, std::sqrt(rest)}, directions[light]) : directions[light].z;
+    const double albedo = rest > 0 ? 0.8 : x > 10 && x < 40 && y > 10 && y < 40 ? 0.9 : 0.05;
+    return (albedo / kPi * std::max(0.0, cosine)) * irradiances[light];
+  }
+  void write(const fs::path& folder) const {
+    for (std::size_t l = 0; l < directions.size(); ++l)
+      writePng(folder / ("shoot/l" + std::to_string(l) + ".png"), encoded([&](int x, int y) {
+                 Vec3 sum;
+                 for (int k = 0; k < 16; ++k) sum += radiance(l, x + (k % 4 + 0.5) / 4, y + (k / 4 + 0.5) / 4) / 16;
+                 return Vec3{0.02, 0.02, 0.02} + vignetting(x, y) * sum;
+               }));
+    writePng(folder / "dark.png", encoded([](int, int) { return Vec3{0.02, 0.02, 0.02}; }));
+    writePng(folder / "flat.png", encoded([](int x, int y) {
+               return Vec3{0.02, 0.02, 0.02} + 0.8 * vignetting(x, y) * Vec3{1, 1, 1};
+             }));
+    std::string lp = std::to_string(directions.size()) + "\n";
+    for (std::size_t l = 0; l < directions.size(); ++l)
+      lp += "l" + std::to_string(l) + ".png " + std::to_string(directions[l].x) + " " +
+            std::to_string(directions[l].y) + " " + std::to_string(directions[l].z) + "\n";
+    writeTextFile(folder / "set.lp", lp);
+    writeTextFile(folder / "strengths.csv", "light,value\n0,1\n1,2\n2,3\n3,4\n4,5\n5,6\n");
+  }
+};
+
+TEST(Calibrate, AMattBallAndAWhiteCardTellLightsInDevelopedPictures) {
+  const test::TemporaryFolder folder;
+  const TableTop table;
+  table.write(folder.path());
+  const std::string images =
+      "shoot -o cap --one-view orthographic --photos l{light}.png --develop --dark dark.png "
+      "--flat flat.png --spheres l{light}.png --matt-sphere --white l{light}.png "
+      "--white-rectangle 14,14,20,20 ";
+  Outcome run = calibrate(folder, images + "--sphere 108,61,29");
+  ASSERT_EQ(run.code, 0) << run.said;
+  for (const bool kept : {false, true}) {
+    if (kept) {
+      fs::remove_all(folder / "cap");
+      run = calibrate(folder, images + "--sphere 110,60,30 --keep-spheres");
+      ASSERT_EQ(run.code, 0) << run.said;
+    }
+    const Capture capture = readCapture(folder / "cap");
+    ASSERT_EQ(capture.lights.size(), 6u);
+    for (std::size_t l = 0; l < 6; ++l) {
+      // With a dark frame left in, or vignetting, they are degrees off.
+      EXPECT_LT(degrees(angleBetweenUnit(capture.lights[l].direction.raw(), table.directions[l])), kept ? 0.3 : 0.6);
+      for (int c = 0; c < 3; ++c)
+        EXPECT_NEAR(capture.lights[l].strength[c] / table.irradiances[l][c], 1, 0.01) << l << " " << c;
+    }
+  }
+}
+
+TEST(Calibrate, OptionsThatWouldDoNothingAreRefusedWithTheReason) {
+  const test::TemporaryFolder folder;
+  TableTop().write(folder.path());
+  writeTextFile(folder / "lights.json",
+                R"({"lights": [{"name": "0", "type": "directional", "direction": [0, 0, 1]}]})");
+  const std::string one = "shoot -o cap --one-view orthographic --photos l{light}.png --lp set.lp ";
+  const std::tuple<std::string, int, std::string> wrong[] = {
+      {one + "--dark dark.png", 2, "--dark: needs --develop"},
+      {one + "--encoding measure", 2, "--encoding: needs --develop"},
+      {one + "--develop --encoding gamma", 2, "'gamma': expected srgb, linear, measure"},
+      {one + "--white-normal 0,0,1", 2, "need --white"},
+      {one + "--lights lights.json", 2, "exclude each other"},
+      {one + "--develop --copy", 2, "--copy and --develop exclude each other"},
+      {one + "--world 3", 2, "--world needs --rig"},
+      {one + "--camera a=l{light}.png", 2, "--camera and --photos exclude each other"},
+      {one + "--units km", 2, "expected m, cm or mm"},
+      {one + "--leave-out l7.png", 2, "'l7.png': no photograph has that name"},
+      {one + "--develop --white l{light}.png --white-rectangle 150,5,20,20", 2,
+       "do not lie in the photographs' 160 x 120"},
+      {"shoot -o cap --one-view orthographic --photos l{light}.png --strengths strengths.csv", 2, "needs lights"},
+      {"shoot -o cap --one-view orthographic --photos *{view}.png --leave-out l1 l2 l3 l4 l5 --lp set.lp", 2,
+       "needs {light}"},
+      {"shoot -o cap --one-view 40 --photos {exposure}.png --develop", 3, "tells no exposure time"},
+  };
+  for (const auto& [words, code, message] : wrong) {
+    const Outcome run = calibrate(folder, words);
+    EXPECT_EQ(run.code, code) << words << "\n" << run.said;
+    EXPECT_NE(run.said.find(message), std::string::npos) << words << "\n" << run.said;
+    fs::remove_all(folder / "cap");
+  }
+  // What integer photographs mean stays true of photographs that are not developed.
+  const Outcome run = calibrate(folder, one + "--strengths strengths.csv --encoding linear");
+  ASSERT_EQ(run.code, 0) << run.said;
+  EXPECT_EQ(readCapture(folder / "cap").integer_transfer, Transfer::linear);
+}
+
+TEST(Calibrate, MasksAndMarkedPlacesOfAColmapModel) {
+  const test::TemporaryFolder folder;
+  for (const char* name : {"a.png", "b.png"}) {
+    writePng(folder / "photos" / name, Image8(100, 80, 3, 90));
+    writePng(folder / "masks" / name, Image8(100, 80, 1, 255));
+  }
+  // Two cameras one unit apart that look along +z.
+  writeTextFile(folder / "model/cameras.txt", "1 PINHOLE 100 80 100 100 50 40\n");
+  writeTextFile(folder / "model/images.txt", "1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 -1 0 0 1 b.png\n\n");
+  writeTextFile(folder / "model/points3D.txt", "");
+  const std::string by_model = "photos -o cap --colmap model ";
+  // At depth 10, two units apart: (0, 0, 10) and (2, 0, 10).
+  const auto marks = [&](const std::string& last) {
+    writeTextFile(folder / "marks.json", R"({"distance": 0.5, "a": {"a.png": [50, 40], "b.png": [40, 40]},
+                                             "b": {"a.png": [70, 40], "b.png": )" +
+                                             last + "}}");
+  };
+  marks("[60, 40]");
+  Outcome run = calibrate(folder, by_model + "--points marks.json --masks masks");
+  ASSERT_EQ(run.code, 0) << run.said;
+  const Capture capture = readCapture(folder / "cap");
+  EXPECT_NEAR(distance(capture.views[0].camera.center(), capture.views[1].camera.center()), 0.25, 1e-12);
+  EXPECT_EQ(capture.views[0].mask_file.filename(), "a.png");
+  EXPECT_EQ(run.said.find("look whether they show the same place"), std::string::npos) << run.said;
+  marks("[60, 400]");
+  run = calibrate(folder, by_model + "--points marks.json");
+  EXPECT_EQ(run.code, 3);
+  EXPECT_NE(run.said.find("lies outside its photograph of 100 x 80"), std::string::npos) << run.said;
+  marks("[60, 49]");
+  run = calibrate(folder, by_model + "--points marks.json");
+  EXPECT_NE(run.said.find("look whether they show the same place"), std::string::npos) << run.said;
+  run = calibrate(folder, by_model + "--masks model");
+  EXPECT_NE(run.said.find("holds no mask of any photograph"), std::string::npos) << run.said;
+  run = calibrate(folder, by_model + "--distance a.png b.png 1 --points marks.json");
+  EXPECT_NE(run.said.find("one thing sets the scale"), std::string::npos) << run.said;
 }
 
 }  // namespace
