@@ -3,6 +3,7 @@
 #include <chrono>
 #include <nlohmann/json.hpp>
 
+#include "apps/capture_page.h"
 #include "apps/html.h"
 #include "apps/program.h"
 #include "apps/study_file.h"
@@ -68,8 +69,7 @@ class Studying {
     save();
     keepFrontPictures();
     writeTextFile(folder_ / "study.csv", studyTable(study_));
-    writeTextFile(folder_ / "study.html", studyPage(
-                                              study_, [&](const MeasuredSetting& m) { return picture(m); }, folder_));
+    writeTextFile(folder_ / "study.html", studyPage(study_, [&](const MeasuredSetting& m) { return picture(m); }));
     reporter_.result((folder_ / "study.html").string() +
                      format("  %zu settings, %zu measured now%s", study_.measured.size(), rendered_,
                             whole ? "" : "; the budget ended it: run again to go on"));
@@ -257,18 +257,35 @@ class Studying {
   double last_seconds_ = 0;
 };
 
+void runCaptureStudy(const fs::path& srf_folder, const fs::path& output, const CaptureStudyOptions& options,
+                     Reporter& reporter) {
+  std::vector<ShownPrediction> shown;
+  const CaptureStudy study = studyCapture(srf_folder, options, shown, reporter);
+  fs::create_directories(output);
+  writeCaptureStudy(output / "capture.json", study);
+  writeTextFile(output / "capture.csv", captureTable(study));
+  writeTextFile(output / "capture.html", capturePage(study, shown));
+  for (const std::string& sentence : captureSentences(study)) reporter.result(sentence);
+  reporter.result((output / "capture.html").string());
+}
+
 }  // namespace
 }  // namespace srf
 
 int main(int argc, char** argv) {
   using namespace srf;
-  Program program("study",
-                  "Measures what accuracy costs in time on a scene: each knob of the renderer alone, then the best "
-                  "combinations. Writes study.json, study.csv and the page study.html; srf render --quality uses them. "
-                  "A study that was interrupted, or whose budget ended, goes on when run again.");
+  Program program(
+      "study",
+      "Measures what accuracy costs in time on a scene: each knob of the renderer alone, then the best "
+      "combinations. Writes study.json, study.csv and the page study.html; srf render --quality uses them. "
+      "A study that was interrupted, or whose budget ended, goes on when run again. With --capture instead: "
+      "how well the capture itself foretells photographs that were left out of it, and what more views or "
+      "lights would bring; writes capture.json, capture.csv and capture.html.");
   Options options;
+  std::string capture;
+  CaptureStudyOptions capture_options;
   std::string budget = "10m";
-  program.app().add_option("scene", options.scene, "scene.json")->required();
+  program.app().add_option("scene", options.scene, "scene.json");
   program.app().add_option("-o,--output", options.output, "folder of the study")->required();
   program.app().add_option("--srf", options.srf, "the field, X.srf; default: the scene's");
   program.app().add_option("--budget", budget, "time of this run: 90s, 10m, 1h")->capture_default_str();
@@ -277,7 +294,19 @@ int main(int argc, char** argv) {
       .add_option("--frames", options.frames, "number of the scene's frames to study, spread over the animation")
       ->check(CLI::Range(1, 1000))
       ->capture_default_str();
+  program.app().add_option("--capture", capture, "X.srf: study the capture that it holds, no scene");
+  program.app()
+      .add_option("--pictures", capture_options.pictures, "with --capture: photographs to foretell, of each kind")
+      ->check(CLI::Range(1, 1000))
+      ->capture_default_str();
   return program.run(argc, argv, [&](Reporter& reporter) {
+    if (capture.empty() == options.scene.empty())
+      throw Error(ErrorKind::usage, "expected a scene.json, or --capture X.srf without one", "srf study");
+    if (!capture.empty()) {
+      capture_options.memory_bytes = program.memoryBudget();
+      runCaptureStudy(capture, options.output, capture_options, reporter);
+      return;
+    }
     options.budget = parseBudget(budget);
     options.memory_bytes = program.memoryBudget();
     Studying(options, reporter).run();

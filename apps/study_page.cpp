@@ -5,77 +5,31 @@
 
 #include "apps/heat_image.h"
 #include "apps/html.h"
+#include "apps/plot.h"
 #include "apps/program.h"
-#include "base/files.h"
 #include "base/image_io.h"
 #include "base/image_metrics.h"
 
 namespace srf {
 namespace {
 
-using html::base64;
 using html::escaped;
 using html::format;
+using plot::Axis;
+using plot::kErrorColour;
+using plot::kTimeColour;
+using plot::line;
+using plot::percent;
+using plot::png;
+using plot::tickLabel;
+using plot::uprightAxis;
 
 constexpr double kFloor = 1e-5;  // errors below are drawn here: a logarithm has no 0
-const char* const kErrorColour = "#c0392b";
-const char* const kTimeColour = "#2a5d9f";
 
 std::string keysText(const SceneKeys& keys) {
   std::string out;
   for (const auto& [key, value] : keys) out += (out.empty() ? "" : ", ") + key.substr(1) + " " + value;
   return escaped(out);
-}
-
-std::string percent(double error) {
-  return error == 0 ? "0 %" : format("%.3g %%", 100 * error);
-}
-
-/// A logarithmic axis from the decade below `least` to the one above `most`, or nearer where that is wide.
-struct Axis {
-  double low, high, from, to;  // values, and where they are drawn
-  Axis(double least, double most, double from_, double to_) : from(from_), to(to_) {
-    low = least / 1.25, high = most * 1.25;
-    if (high / low < 3) low /= 1.5, high *= 1.5;
-  }
-  double at(double value) const {
-    return from +
-           (to - from) * (std::log(std::clamp(value, low, high)) - std::log(low)) / (std::log(high) - std::log(low));
-  }
-  std::vector<double> ticks() const {
-    std::vector<double> out;
-    for (int decade = static_cast<int>(std::floor(std::log10(low))); decade <= std::log10(high); ++decade)
-      for (const double digit : {1.0, 2.0, 5.0})
-        if (const double tick = digit * std::pow(10, decade); tick >= low && tick <= high) out.push_back(tick);
-    if (out.size() > 7) std::erase_if(out, [](double t) { return std::fabs(std::remainder(std::log10(t), 1)) > 1e-6; });
-    return out;
-  }
-};
-
-std::string tickLabel(double value, bool error) {
-  return error ? format("%g %%", 100 * value) : format("%g s", value);
-}
-
-/// Ticks and rules of an upright axis, labels at `x`.
-std::string uprightAxis(const Axis& axis, bool error, double x, bool left, double rule_from, double rule_to) {
-  std::string out;
-  for (const double tick : axis.ticks()) {
-    if (left)
-      out += format("<line x1=\"%.1f\" x2=\"%.1f\" y1=\"%.1f\" y2=\"%.1f\" stroke=\"#eee\"/>", rule_from, rule_to,
-                    axis.at(tick), axis.at(tick));
-    out += format("<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\" style=\"fill:%s\">%s</text>\n", x, axis.at(tick) + 4,
-                  left ? "end" : "start", error ? kErrorColour : kTimeColour, tickLabel(tick, error).c_str());
-  }
-  return out;
-}
-
-std::string line(const std::vector<std::pair<double, double>>& points, const char* colour) {
-  std::string path, dots;
-  for (const auto& [x, y] : points) {
-    path += format("%s%.1f %.1f", path.empty() ? "M" : "L", x, y);
-    dots += format("<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3.5\" fill=\"%s\"/>", x, y, colour);
-  }
-  return "<path d=\"" + path + format("\" fill=\"none\" stroke=\"%s\" stroke-width=\"2\"/>", colour) + dots + "\n";
 }
 
 double drawn(const MeasuredSetting& m) {
@@ -199,15 +153,7 @@ std::string knobPlot(const Study& study, const Knob& knob) {
                 cheap.worstSeconds() / exact.worstSeconds());
 }
 
-std::string png(const Image8& image, const std::filesystem::path& folder) {
-  const std::filesystem::path file = folder / "frames" / "page.png";
-  writePng(file, image);
-  const auto bytes = readBinaryFile(file);
-  std::filesystem::remove(file);
-  return "<img width=\"300\" alt=\"\" src=\"data:image/png;base64," + base64(bytes) + "\">";
-}
-
-std::string pictures(const Study& study, const PictureOf& picture, const std::filesystem::path& folder) {
+std::string pictures(const Study& study, const PictureOf& picture) {
   const MeasuredSetting* exact = study.find(study.exact);
   const ImageF reference = picture(*exact);
   if (reference.empty()) return "";
@@ -228,8 +174,8 @@ std::string pictures(const Study& study, const PictureOf& picture, const std::fi
     out += "<p>" + keysText(m->keys) +
            format(": error %s, FLIP %.4f, %.3g s a frame</p>\n", percent(m->worstError()).c_str(), d.inside.flip,
                   m->worstSeconds()) +
-           png(displayImage(reference, exposure), folder) + " " + png(displayImage(image, exposure), folder) + " " +
-           png(heatImage(d.flip_map), folder) + "\n";
+           png(displayImage(reference, exposure)) + " " + png(displayImage(image, exposure)) + " " +
+           png(heatImage(d.flip_map)) + "\n";
   }
   return out;
 }
@@ -259,7 +205,7 @@ std::string frontTable(const Study& study) {
 
 }  // namespace
 
-std::string studyPage(const Study& study, const PictureOf& picture, const std::filesystem::path& folder) {
+std::string studyPage(const Study& study, const PictureOf& picture) {
   std::string frames;
   for (const int frame : study.frames) frames += (frames.empty() ? "" : ", ") + std::to_string(frame);
   std::string out = "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>" + escaped(study.scene) +
@@ -281,7 +227,7 @@ std::string studyPage(const Study& study, const PictureOf& picture, const std::f
              "the exact setting's error is 0 and drawn at the bottom.</p>\n",
              kErrorColour, kTimeColour);
   for (const Knob& knob : study.knobs) out += knobPlot(study, knob);
-  out += pictures(study, picture, folder) + frontTable(study);
+  out += pictures(study, picture) + frontTable(study);
   out += "<h2>What \"exact\" means here</h2>\n<p>" + keysText(study.exact) +
          "</p>\n<p class=\"note\">The most exact setting that the time allowed: environment samples 0 are all texels; "
          "views and lights are the scene's own, for how many are interpolated is a choice of the method that a true "

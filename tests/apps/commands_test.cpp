@@ -648,6 +648,73 @@ TEST(Study, KeepsItsPromisesAndGoesOnWhereItEnded) {
       {"study.json"});
 }
 
+TEST(Study, CaptureIsForetoldFromWhatIsLeft) {
+  test::TemporaryFolder folder;
+  const fs::path out = folder / "out";
+  const Outcome outcome = run({"study", "--capture", sample().field, "-o", out, "--pictures", "4"});
+  ASSERT_EQ(outcome.code, 0) << outcome.err;
+  EXPECT_NE(outcome.out.find("extrapolated"), std::string::npos) << outcome.out;
+  const Json study = readJsonFile(out / "capture.json").raw();
+  EXPECT_EQ(study["views_left_out"], 2);
+  EXPECT_EQ(study["lights_left_out"], 2);
+  // All, half and a quarter of the views, half of the lights; what is not thinned is asked where it matters.
+  std::map<std::string, double> error;
+  std::size_t pictures = 0;
+  for (const Json& c : study["cases"]) {
+    const std::string left_out = c["left_out"];
+    error[left_out + " " + std::to_string(c["views"].get<int>()) + " " + std::to_string(c["lights"].get<int>())] =
+        c["relative_error"];
+    EXPECT_EQ(c["interpolation"], "plain");  // 8 lights less 2 are too few for a fit
+    EXPECT_LE(c["pictures"].size(), 4u);
+    pictures += c["pictures"].size();
+    for (const Json& p : c["pictures"]) EXPECT_GT(p["psnr_db"].get<double>(), 5);
+  }
+  EXPECT_EQ(error.size(), 9u);
+  EXPECT_EQ(error.count("view 10 3") + error.count("light 5 6"), 0u);
+  EXPECT_LT(error["view 10 6"], error["both 10 6"]);
+  EXPECT_LT(error["view 10 6"], error["view 3 6"]);
+  EXPECT_LT(error["light 10 6"], error["light 10 3"]);
+  // The law passes through two points, and says what it says beyond them.
+  for (const Json& trend : study["trends"]) {
+    const double b = trend["exponent"], now = trend["extrapolated_error"], twice = trend["extrapolated_error_of_twice"];
+    EXPECT_NEAR(twice, now * std::pow(2.0, -b), 1e-9);
+    EXPECT_GE(trend["measured"].size(), 2u);
+  }
+  const std::string page = slurp(out / "capture.html"), table = slurp(out / "capture.csv");
+  EXPECT_NE(page.find("<svg"), std::string::npos);
+  EXPECT_EQ(page.find("http"), std::string::npos);
+  EXPECT_EQ(static_cast<std::size_t>(std::count(table.begin(), table.end(), '\n')), 1 + pictures);
+
+  expectMessage(run({"study", sample().scene, "--capture", sample().field, "-o", out}), 2, {"--capture"});
+  expectMessage(run({"study", "-o", out}), 2, {"--capture"});
+}
+
+TEST(Study, CaptureOfUnknownIlluminationLeavesViewsOutAlone) {
+  test::TemporaryFolder folder;
+  const fs::path capture = folder / "capture", field = folder / "x.srf", out = folder / "out";
+  fs::copy(sample().capture, capture, fs::copy_options::recursive);
+  Json transforms = readJsonFile(capture / "transforms.json").raw();
+  const std::string light = transforms["lights"][0]["name"];
+  transforms.erase("lights");
+  Json frames = Json::array();
+  for (Json frame : transforms["frames"]) {
+    if (frame["light"] != light) continue;
+    frame.erase("light");
+    frames.push_back(frame);
+  }
+  transforms["frames"] = frames;
+  writeJsonFile(capture / "transforms.json", transforms);
+  ASSERT_EQ(run({"acquire", capture, "-o", field}).code, 0);
+  ASSERT_EQ(run({"model", field}).code, 0);
+  const Outcome outcome = run({"study", "--capture", field, "-o", out});
+  ASSERT_EQ(outcome.code, 0) << outcome.err;
+  EXPECT_NE(outcome.out.find("views alone"), std::string::npos) << outcome.out;
+  const Json study = readJsonFile(out / "capture.json").raw();
+  EXPECT_EQ(study["lights_left_out"], 0);
+  ASSERT_GT(study["cases"].size(), 0u);
+  for (const Json& c : study["cases"]) EXPECT_EQ(c["left_out"], "view");
+}
+
 // ---- Effects -------------------------------------------------------------------------------------------------------
 
 // Each effect against the exact reference with the same effect on, which renders it by other means.
