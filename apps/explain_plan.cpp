@@ -53,6 +53,7 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
   const Scratch scratch;
   options.output = (scratch.path() / "frame.####.exr").string();
   options.frames = {frame};
+  options.support = true;
   const std::vector<RenderedFrame> rendered = renderAnimation(scene, options, reporter);
   const auto counters = reporter.counters();
   const auto figures = reporter.figures();
@@ -111,15 +112,23 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
                             : "");
   add("captured lights", lights.captured > 0, std::to_string(lights.captured) + " in /lights");
   add("guided interpolation", guided,
-      scene.interpolation == Interpolation::plain    ? "/interpolation is \"plain\""
+      scene.shadows == Shadows::both                 ? "/effects/shadows is \"both\", which is plain alone"
+      : scene.interpolation == Interpolation::plain  ? "/interpolation is \"plain\""
       : scene.interpolation == Interpolation::guided ? "/interpolation is \"guided\""
       : guided                                       ? "the model holds a fit"
                                                      : "the model holds no fit",
       "", guided ? shortNumber(counted("model_values")) + " values of the fitted model" : "");
-  const bool cast = guided && scene.shadows != Shadows::off;
+  const bool by_rays = !guided && (scene.shadows == Shadows::deformed || scene.shadows == Shadows::both ||
+                                   scene.shadows == Shadows::off);
+  const bool cast = by_rays || (guided && scene.shadows != Shadows::off);
   const bool deformed_shadows = scene.shadows == Shadows::deformed || (scene.shadows == Shadows::automatic && !still);
   add("shadow rays", cast,
-      !guided                               ? "plain interpolation has the photographs' own shadows"
+      !guided && !by_rays ? "plain interpolation has the photographs' own shadows"
+      : by_rays && scene.shadows == Shadows::deformed
+          ? "/effects/shadows is \"deformed\": rays in the deformed model, and at rest to divide its shadows out"
+      : by_rays && scene.shadows == Shadows::both
+          ? "/effects/shadows is \"both\": rays in the deformed model, beside the photographs' own shadows"
+      : by_rays                             ? "/effects/shadows is \"off\": rays at rest to divide its shadows out"
       : scene.shadows == Shadows::off       ? "/effects/shadows is \"off\""
       : scene.shadows == Shadows::automatic ? (deformed_shadows ? "guided and deformed: the deformed model's shadows"
                                                                 : "guided and at rest: the rest pose's shadows")
@@ -150,7 +159,13 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
   for (const auto& [name, value] : figures)
     if (name.starts_with("seconds.")) seconds[name.substr(8)] = value;
   seconds["whole frame"] = rendered.at(0).seconds;
-  return {{"frame", frame}, {"plan", std::move(plan)}, {"seconds", std::move(seconds)}};
+  Json out{{"frame", frame}, {"plan", std::move(plan)}, {"seconds", std::move(seconds)}};
+  if (const auto& support = rendered.at(0).support; support && support->hits > 0)
+    out["support"] = {
+        {"supported", support->share(support->supported)},       {"far_from_views", support->share(support->view_far)},
+        {"far_from_lights", support->share(support->light_far)}, {"seen_by_no_view", support->share(support->occluded)},
+        {"stretched", support->share(support->stretched)},       {"text", support->text()}};
+  return out;
 }
 
 void printPlan(const Json& plan) {
@@ -165,6 +180,7 @@ void printPlan(const Json& plan) {
       "  seconds (stages of all threads are shares of the time that passed; the first frame reads its blocks)\n");
   for (const auto& [stage, value] : plan["seconds"].items())
     std::printf("      %-29s %.4f\n", stage.c_str(), value.get<double>());
+  if (plan.contains("support")) std::printf("  %s\n", plan["support"]["text"].get<std::string>().c_str());
 }
 
 }  // namespace srf

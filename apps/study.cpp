@@ -113,6 +113,16 @@ class Studying {
       input += hexHash(contentHash(bytes.data(), bytes.size()));
     };
     mix(srf / "manifest.json");
+    if (scene.deformation.movesVertices()) {
+      // Where the files of a skin or a mesh sequence put the vertices at the moments that are looked at.
+      const auto motion =
+          scene.deformation.vertexMotion(loadModel(srf, readManifest(srf)).restMesh(), scene.fps, reporter_);
+      for (const int frame : frames)
+        for (const double moment : momentsOf(scene.effects, frame)) {
+          const auto& positions = motion->at(moment).positions;
+          input += hexHash(contentHash(positions.data(), positions.size() * sizeof positions[0]));
+        }
+    }
     for (const SceneLight& light : scene.lights)
       if (const auto* environment = std::get_if<EnvironmentLight>(&light)) mix(environment->map);
     for (const int frame : frames) {
@@ -152,9 +162,7 @@ class Studying {
     for (const std::string& warning : quiet.warnings()) reporter_.warn(warning);
     const auto counters = quiet.counters();
     probe.shadow_rays = counters.contains("shadow_rays");
-    // Plain interpolation has captured shadows alone: a scene that asks for others stays guided.
-    probe.guided = counters.contains("model_values") && scene.interpolation != Interpolation::plain &&
-                   (scene.shadows == Shadows::automatic || scene.shadows == Shadows::captured);
+    probe.guided = counters.contains("model_values") && scene.interpolation != Interpolation::plain;
     const double a_frame = 0.5 * options_.budget / (kOneAtATime * kPasses * static_cast<double>(study_.frames.size()));
     study_.own = ownSetting(scene, probe);
     study_.exact = exactSetting(scene, probe, a_frame);
