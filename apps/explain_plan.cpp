@@ -2,9 +2,13 @@
 
 #include <unistd.h>
 
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <utility>
 
 #include "base/text.h"
 
@@ -47,7 +51,51 @@ LightCounts countLights(const Scene& scene) {
   return counts;
 }
 
+/// The scene with a picture 1 / divisor as wide and high; none where that would be next to nothing, or where a file
+/// holds the camera.
+std::optional<Scene> smaller(const Scene& scene, int divisor) {
+  constexpr int kLeast = 16;  // pixels a side
+  Scene small = scene;
+  if (auto* look_at = std::get_if<LookAtCamera>(&small.camera)) {
+    look_at->width /= divisor, look_at->height /= divisor;
+    if (std::min(look_at->width, look_at->height) >= kLeast) return small;
+  }
+  return std::nullopt;
+}
+
+/// Seconds of a warm frame, and its hits.
+std::pair<double, double> warmFrame(const Scene& scene, AnimationOptions options, int frame, bool shortcuts) {
+  Reporter quiet(ProgressMode::none, LogLevel::error);
+  options.shortcuts = shortcuts;
+  options.support = false;
+  options.frames = {frame, frame, frame, frame};
+  const auto frames = renderAnimation(scene, options, quiet);
+  double least = frames[1].seconds;
+  for (std::size_t i = 2; i < frames.size(); ++i) least = std::min(least, frames[i].seconds);
+  return {least, static_cast<double>(quiet.counters()["hits"]) / static_cast<double>(frames.size())};
+}
+
+/// How many times as long a frame of `hits` hits would take without the shortcuts, foretold from two small pictures
+/// either way: what a frame costs at any size, and what each hit adds.
+std::optional<double> promisedFactor(const Scene& scene, const AnimationOptions& options, int frame, double hits) {
+  const auto small = smaller(scene, 4), large = smaller(scene, 2);
+  if (!small || !large) return std::nullopt;
+  const auto foretold = [&](bool shortcuts) {
+    const auto [seconds_a, hits_a] = warmFrame(*small, options, frame, shortcuts);
+    const auto [seconds_b, hits_b] = warmFrame(*large, options, frame, shortcuts);
+    const double a_hit = hits_b > hits_a ? std::max(0.0, seconds_b - seconds_a) / (hits_b - hits_a) : 0;
+    return seconds_b + (hits - hits_b) * a_hit;
+  };
+  return foretold(false) / foretold(true);
+}
+
 }  // namespace
+
+double measuredFactor(const Scene& scene, AnimationOptions options, int frame) {
+  const Scratch scratch;
+  options.output = (scratch.path() / "frame.####.exr").string();
+  return warmFrame(scene, options, frame, false).first / warmFrame(scene, options, frame, true).first;
+}
 
 Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Reporter& reporter) {
   const Scratch scratch;
@@ -93,12 +141,19 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       still                          ? "the model stays at rest"
       : scene.deformation.constant() ? "every point once, since no key moves it"
                                      : "every point at every frame");
+  const auto factor = rigid && !guided && lights.directional + lights.environments > 0
+                          ? promisedFactor(scene, options, frame, counted("hits"))
+                          : std::nullopt;
   add("one orientation for all hits", rigid,
       still   ? "nothing is deformed"
       : rigid ? "the deformation is rigid"
               : "the deformation turns points differently",
-      rigid ? "one vector of light weights" : "vectors of light weights by orientation",
+      rigid
+          ? "one vector of light weights" +
+                (factor ? ": " + shortNumber(std::round(10 * *factor) / 10) + " times as fast as one for each hit" : "")
+          : "vectors of light weights by orientation",
       shortNumber(counted("light_vectors")) + " vectors");
+  if (factor) plan.back()["factor"] = *factor;
   add("shared light weights", !rigid && scene.accuracy.light_sharing > 0,
       "/accuracy/light_sharing is " + shortNumber(scene.accuracy.light_sharing) + " degrees");
   add("point lights", lights.near_lights + lights.from_file > 0,

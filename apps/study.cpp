@@ -23,6 +23,8 @@ namespace fs = std::filesystem;
 using html::format;
 
 constexpr int kPasses = 2;          // of a setting over the frames
+constexpr int kLeastPicture = 96;   // pixels a side that a study's pictures keep
+constexpr double kFullSize = 0.02;  // of the budget: what a setting's time at full size may cost
 constexpr double kOneAtATime = 18;  // settings of about the exact one's cost; a planning figure
 
 /// "90", "90s", "10m", "1.5h" to seconds.
@@ -155,7 +157,9 @@ class Studying {
     AnimationOptions options = animationOptions();
     options.output = (folder_ / "frames" / "probe.####.exr").string();
     options.frames = {middleFrame(), middleFrame()};
-    const Scene bare = readScene(options_.scene, {"/samples=1", "/accuracy/light_sharing=0"}, reporter_);
+    // As exact as exactSetting would have it, but for samples and lights: their cost is told by their number.
+    const Scene bare = readScene(
+        options_.scene, {"/samples=1", "/accuracy/light_sharing=0", "/accuracy/shadow_rays=1000000"}, reporter_);
     SceneProbe probe;
     probe.seconds = renderAnimation(bare, options, quiet).back().seconds;
     fs::remove(frameFile(options.output, middleFrame()));
@@ -166,6 +170,39 @@ class Studying {
     const double a_frame = 0.5 * options_.budget / (kOneAtATime * kPasses * static_cast<double>(study_.frames.size()));
     study_.own = ownSetting(scene, probe);
     study_.exact = exactSetting(scene, probe, a_frame);
+    choosePictureSize(scene, exactSeconds(scene, probe, study_.exact), a_frame);
+  }
+
+  /// Where an exact frame takes longer than the time allows, the study's pictures are smaller than the scene's.
+  void choosePictureSize(const Scene& scene, double seconds, double a_frame) {
+    const auto* look_at = std::get_if<LookAtCamera>(&scene.camera);
+    if (!look_at || !options_.reference.empty()) return;
+    const int least = std::min(look_at->width, look_at->height);
+    while (seconds / square(study_.divisor) > a_frame && least / (study_.divisor + 1) >= kLeastPicture)
+      ++study_.divisor;
+  }
+  std::vector<std::string> overrides(const Scene& scene, const SceneKeys& keys) const {
+    std::vector<std::string> out = overridesOf(keys);
+    if (study_.divisor > 1) {
+      const auto& look_at = std::get<LookAtCamera>(scene.camera);
+      out.push_back("/camera/w=" + std::to_string(look_at.width / study_.divisor));
+      out.push_back("/camera/h=" + std::to_string(look_at.height / study_.divisor));
+    }
+    return out;
+  }
+  /// How many times as long a frame of full size takes as the study's own: measured where that is cheap, else as many
+  /// times as it has pixels, which is more.
+  double fullSizeFactor(const SceneKeys& keys, std::size_t memory, double small_seconds, Reporter& quiet) {
+    const double pixels = square(study_.divisor);
+    if (study_.divisor == 1) return 1;
+    if (kPasses * pixels * small_seconds > kFullSize * options_.budget) return pixels;
+    AnimationOptions options = animationOptions();
+    if (memory) options.memory_bytes = memory;
+    options.output = (folder_ / "frames" / "full.####.exr").string();
+    options.frames.assign(kPasses, middleFrame());
+    const auto frames = renderAnimation(readScene(options_.scene, overridesOf(keys), quiet), options, quiet);
+    fs::remove(frameFile(options.output, middleFrame()));
+    return frames.back().seconds / small_seconds;
   }
 
   AnimationOptions animationOptions() const {
@@ -209,7 +246,7 @@ class Studying {
   void measure(const SceneKeys& keys, std::size_t memory) {
     const double start = elapsed();
     Reporter quiet(ProgressMode::none, LogLevel::error);
-    const Scene scene = readScene(options_.scene, overridesOf(keys), quiet);
+    const Scene scene = readScene(options_.scene, overrides(readScene(options_.scene, {}, quiet), keys), quiet);
     AnimationOptions options = animationOptions();
     options.output = pattern(keys, memory);
     if (memory) options.memory_bytes = memory;
@@ -235,6 +272,10 @@ class Studying {
       if (keys != study_.exact && study_.frames[f] != middleFrame()) fs::remove(frames[f].file);
     }
     if (memory) fs::remove(frameFile(options.output, middleFrame()));
+    Reporter full_size(ProgressMode::none, LogLevel::error);
+    const double factor = fullSizeFactor(keys, memory, m.seconds[count / 2], full_size);
+    for (double& seconds : m.seconds) seconds *= factor;
+    m.spread *= factor, m.cold *= factor;
     const auto figures = quiet.figures();
     const auto figure = [&](const char* name) { return figures.contains(name) ? figures.at(name) : 0; };
     m.bytes_read = figure("cache.bytes_read");

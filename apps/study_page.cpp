@@ -216,6 +216,11 @@ std::string studyPage(const Study& study, const PictureOf& picture) {
   if (const MeasuredSetting* exact = study.find(study.exact), *own = study.find(study.own); exact && own)
     out += format("<p>The exact picture takes %.3g s a frame. The scene as it is takes %.3g s and differs by %s.</p>\n",
                   exact->worstSeconds(), own->worstSeconds(), percent(own->worstError()).c_str());
+  if (study.divisor > 1)
+    out += format(
+        "<p class=\"note\">To fit the time, the study's pictures are 1/%d as wide and high as the scene's. Times are "
+        "those of full size: measured where that took little, else as many times as it has more pixels.</p>\n",
+        study.divisor);
   if (!study.complete)
     out +=
         "<p class=\"warn\">The time ran out before everything was measured: run <code>srf study</code> again to go "

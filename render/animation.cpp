@@ -209,6 +209,7 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
   FrameSettings settings = frameSettings(scene, fit, options.memory_bytes);
   settings.layers = layers;
   settings.support = options.support;
+  settings.shortcuts = options.shortcuts;
   FrameSupport support;  // of all frames together
   MovingScene moving{scene, light_set, vertex_motion.get(), DeformedModel(model), reporter};
   std::optional<FrameRenderer> renderer;  // opened with the first frame that is not kept

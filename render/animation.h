@@ -26,6 +26,7 @@ struct AnimationOptions {
   std::vector<int> frames;          ///< overrides the scene's where not empty
   std::vector<std::string> layers;  ///< groups of knownLayers()
   bool resume = false;              ///< keep frames whose header carries the same settings and input hashes
+  bool shortcuts = true;            ///< FrameSettings::shortcuts
   bool support = false;             ///< how much of each picture the capture supports; figures "support..." tell too
   std::size_t memory_bytes = std::size_t{1} << 30;
   std::string command;  ///< for the frames' headers

@@ -53,9 +53,10 @@ std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> onlyOrientation(const D
 FrameLighting::Options lightingOptions(const FrameRenderer::State& state, const DeformedModel& deformed,
                                        const FrameLights& lights) {
   FrameLighting::Options options;
-  options.sharing = state.settings.accuracy.light_sharing;
+  options.sharing = state.settings.shortcuts ? state.settings.accuracy.light_sharing : 0;
   options.min_distance = std::max(state.settings.accuracy.min_distance, 1e-9) * state.diameter;
-  if (!lights.distant.empty()) options.only_orientation = onlyOrientation(deformed, state.settings.accuracy.frame);
+  if (state.settings.shortcuts && !lights.distant.empty())
+    options.only_orientation = onlyOrientation(deformed, state.settings.accuracy.frame);
   return options;
 }
 
