@@ -76,10 +76,10 @@ std::pair<double, double> warmFrame(const Scene& scene, AnimationOptions options
 }
 
 /// How many times as long a frame of `hits` hits would take without the shortcuts, foretold from two small pictures
-/// either way: what a frame costs at any size, and what each hit adds.
-std::optional<double> promisedFactor(const Scene& scene, const AnimationOptions& options, int frame, double hits) {
+/// either way: what a frame costs at any size, and what each hit adds. 0: the picture is too small to tell.
+double promisedFactor(const Scene& scene, const AnimationOptions& options, int frame, double hits) {
   const auto small = smaller(scene, 4), large = smaller(scene, 2);
-  if (!small || !large) return std::nullopt;
+  if (!small || !large) return 0;
   const auto foretold = [&](bool shortcuts) {
     const auto [seconds_a, hits_a] = warmFrame(*small, options, frame, shortcuts);
     const auto [seconds_b, hits_b] = warmFrame(*large, options, frame, shortcuts);
@@ -141,19 +141,19 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       still                          ? "the model stays at rest"
       : scene.deformation.constant() ? "every point once, since no key moves it"
                                      : "every point at every frame");
-  const auto factor = rigid && !guided && lights.directional + lights.environments > 0
-                          ? promisedFactor(scene, options, frame, counted("hits"))
-                          : std::nullopt;
+  const double factor = rigid && !guided && lights.directional + lights.environments > 0
+                            ? promisedFactor(scene, options, frame, counted("hits"))
+                            : 0;
   add("one orientation for all hits", rigid,
       still   ? "nothing is deformed"
       : rigid ? "the deformation is rigid"
               : "the deformation turns points differently",
-      rigid
-          ? "one vector of light weights" +
-                (factor ? ": " + shortNumber(std::round(10 * *factor) / 10) + " times as fast as one for each hit" : "")
-          : "vectors of light weights by orientation",
+      rigid ? "one vector of light weights" +
+                  (factor > 0 ? ": " + shortNumber(std::round(10 * factor) / 10) + " times as fast as one for each hit"
+                              : "")
+            : "vectors of light weights by orientation",
       shortNumber(counted("light_vectors")) + " vectors");
-  if (factor) plan.back()["factor"] = *factor;
+  if (factor > 0) plan.back()["factor"] = factor;
   add("shared light weights", !rigid && scene.accuracy.light_sharing > 0,
       "/accuracy/light_sharing is " + shortNumber(scene.accuracy.light_sharing) + " degrees");
   add("point lights", lights.near_lights + lights.from_file > 0,

@@ -24,7 +24,7 @@ using html::format;
 
 constexpr int kPasses = 2;          // of a setting over the frames
 constexpr int kLeastPicture = 96;   // pixels a side that a study's pictures keep
-constexpr double kFullSize = 0.02;  // of the budget: what a setting's time at full size may cost
+constexpr double kFullSize = 0.05;  // of the budget: what a setting's time at full size may cost
 constexpr double kOneAtATime = 18;  // settings of about the exact one's cost; a planning figure
 
 /// "90", "90s", "10m", "1.5h" to seconds.
@@ -190,19 +190,23 @@ class Studying {
     }
     return out;
   }
-  /// How many times as long a frame of full size takes as the study's own: measured where that is cheap, else as many
-  /// times as it has pixels, which is more.
+  /// How many times as long a frame of full size takes as the study's own: measured for the scene as it is, and for
+  /// combinations where that is cheap; else as many times as it has pixels, which is more.
   double fullSizeFactor(const SceneKeys& keys, std::size_t memory, double small_seconds, Reporter& quiet) {
     const double pixels = square(study_.divisor);
     if (study_.divisor == 1) return 1;
-    if (kPasses * pixels * small_seconds > kFullSize * options_.budget) return pixels;
+    const bool own = keys == study_.own && !memory;
+    const double foretold = kPasses * small_seconds * (own_factor_ > 0 ? own_factor_ : pixels);
+    if (!own && (!searching_ || foretold > kFullSize * options_.budget)) return pixels;
     AnimationOptions options = animationOptions();
     if (memory) options.memory_bytes = memory;
     options.output = (folder_ / "frames" / "full.####.exr").string();
     options.frames.assign(kPasses, middleFrame());
     const auto frames = renderAnimation(readScene(options_.scene, overridesOf(keys), quiet), options, quiet);
     fs::remove(frameFile(options.output, middleFrame()));
-    return frames.back().seconds / small_seconds;
+    const double factor = frames.back().seconds / small_seconds;
+    if (own) own_factor_ = factor;
+    return factor;
   }
 
   AnimationOptions animationOptions() const {
@@ -227,6 +231,7 @@ class Studying {
         todo.emplace_back(knob.values[i], knob.memory.empty() ? 0 : knob.memory[i]);
     if (!measureList("one knob at a time", todo)) return false;
     todo.clear();
+    searching_ = true;
     for (const SceneKeys& keys : worthTrying(study_)) todo.emplace_back(keys, 0);
     return measureList("search", todo);
   }
@@ -304,6 +309,8 @@ class Studying {
   Study study_;
   std::size_t rendered_ = 0;
   double last_seconds_ = 0;
+  double own_factor_ = 0;  // of fullSizeFactor, of the scene as it is; 0: not measured
+  bool searching_ = false;
 };
 
 void runCaptureStudy(const fs::path& srf_folder, const fs::path& output, const CaptureStudyOptions& options,

@@ -32,6 +32,14 @@ std::string keysText(const SceneKeys& keys) {
   return escaped(out);
 }
 
+/// What a setting does otherwise than the exact one.
+std::string changesText(const Study& study, const SceneKeys& keys) {
+  SceneKeys changed;
+  for (const auto& [key, value] : keys)
+    if (const auto at = study.exact.find(key); at == study.exact.end() || at->second != value) changed[key] = value;
+  return changed.empty() ? "all exact" : keysText(changed);
+}
+
 double drawn(const MeasuredSetting& m) {
   return std::max(kFloor, m.worstError());
 }
@@ -61,7 +69,7 @@ std::string frontPlot(const Study& study) {
     if (m.memory_bytes) continue;
     out += format("<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"#bbb\"><title>", x.at(m.worstSeconds()),
                   y.at(drawn(m))) +
-           keysText(m.keys) + "</title></circle>\n";
+           changesText(study, m.keys) + "</title></circle>\n";
   }
   std::vector<std::pair<double, double>> points;
   for (const MeasuredSetting* m : front) points.emplace_back(x.at(m->worstSeconds()), y.at(drawn(*m)));
@@ -71,9 +79,9 @@ std::string frontPlot(const Study& study) {
         "<rect x=\"%.1f\" y=\"%.1f\" width=\"12\" height=\"12\" fill=\"none\" stroke=\"%s\" "
         "stroke-width=\"2.5\"/>\n",
         x.at(own->worstSeconds()) - 6, y.at(drawn(*own)) - 6, kTimeColour);
-  const double legend = width - right - 250;
+  const double legend = width - right - 300;
   out += format(
-      "<rect x=\"%g\" y=\"%g\" width=\"245\" height=\"66\" fill=\"#fff\" fill-opacity=\".85\" stroke=\"#ddd\"/>"
+      "<rect x=\"%g\" y=\"%g\" width=\"295\" height=\"66\" fill=\"#fff\" fill-opacity=\".85\" stroke=\"#ddd\"/>"
       "<circle cx=\"%g\" cy=\"%g\" r=\"4\" fill=\"%s\"/><text x=\"%g\" y=\"%g\">the front: nothing measured beats "
       "these</text><circle cx=\"%g\" cy=\"%g\" r=\"3\" fill=\"#bbb\"/><text x=\"%g\" y=\"%g\">other "
       "settings</text>",
@@ -83,18 +91,23 @@ std::string frontPlot(const Study& study) {
       "<rect x=\"%g\" y=\"%g\" width=\"10\" height=\"10\" fill=\"none\" stroke=\"%s\" stroke-width=\"2.5\"/>"
       "<text x=\"%g\" y=\"%g\">the scene as it is</text></svg>\n",
       legend + 9, top + 51, kTimeColour, legend + 28, top + 60);
-  return out + format("<p>Down is nearer to the exact picture, left is faster. An error of 0 is drawn at %g %%.</p>\n",
-                      100 * kFloor);
+  return out +
+         format(
+             "<p>Each dot is one setting of the renderer, tried on this scene: down is nearer to the exact picture, "
+             "left is "
+             "faster. Error is how far a pixel is off, of its own brightness, in the mean. An error of 0 is drawn at "
+             "%g %%.</p>\n",
+             100 * kFloor);
 }
 
 std::string recommendations(const Study& study) {
   std::string out =
       "<h2>What to use</h2>\n<table>\n<tr><th>wanted</th><th>promised error</th><th>promised time</th>"
-      "<th>settings</th></tr>\n";
+      "<th>settings, where not exact</th></tr>\n";
   const auto front = study.front();
   const auto row = [&](const std::string& wanted, const MeasuredSetting& m) {
     out += "<tr><td>" + wanted + "</td><td class=\"n\">" + percent(m.worstError() * kErrorMargin) +
-           format("</td><td class=\"n\">%.3g s</td><td>", m.worstSeconds() * kTimeMargin) + keysText(m.keys) +
+           format("</td><td class=\"n\">%.3g s</td><td>", m.worstSeconds() * kTimeMargin) + changesText(study, m.keys) +
            "</td></tr>\n";
   };
   for (const double error : {0.03, 0.01, 0.003, 0.001})
@@ -171,7 +184,7 @@ std::string pictures(const Study& study, const PictureOf& picture) {
     if (image.empty()) continue;
     const ImageDifference d = compareImages(image, reference);
     const double exposure = 1 / d.white;
-    out += "<p>" + keysText(m->keys) +
+    out += "<p>" + changesText(study, m->keys) +
            format(": error %s, FLIP %.4f, %.3g s a frame</p>\n", percent(m->worstError()).c_str(), d.inside.flip,
                   m->worstSeconds()) +
            png(displayImage(reference, exposure)) + " " + png(displayImage(image, exposure)) + " " +
@@ -184,7 +197,8 @@ std::string frontTable(const Study& study) {
   std::string out =
       "<h2>The front</h2>\n<table>\n<tr><th>time</th><th>error</th><th>99.9 %</th><th>PSNR</th><th>FLIP</th>";
   const bool truth = !study.reference.empty();
-  out += truth ? "<th>error to truth</th><th>settings</th></tr>\n" : "<th>settings</th></tr>\n";
+  out += truth ? "<th>error to truth</th><th>settings, where not exact</th></tr>\n"
+               : "<th>settings, where not exact</th></tr>\n";
   for (const MeasuredSetting* m : study.front()) {
     double tail = 0, psnr = HUGE_VAL, flip = 0, true_error = 0;
     for (const FrameError& e : m->exact)
@@ -195,7 +209,7 @@ std::string frontTable(const Study& study) {
         "<td class=\"n\">%.4f</td>",
         m->worstSeconds(), percent(m->worstError()).c_str(), percent(tail).c_str(), psnr, flip);
     if (truth) out += "<td class=\"n\">" + percent(true_error) + "</td>";
-    out += "<td>" + keysText(m->keys) + "</td></tr>\n";
+    out += "<td>" + changesText(study, m->keys) + "</td></tr>\n";
   }
   return out +
          "</table>\n<p class=\"note\">The worst studied frame of each. \"error\" is the mean over the object's "
@@ -219,7 +233,8 @@ std::string studyPage(const Study& study, const PictureOf& picture) {
   if (study.divisor > 1)
     out += format(
         "<p class=\"note\">To fit the time, the study's pictures are 1/%d as wide and high as the scene's. Times are "
-        "those of full size: measured where that took little, else as many times as it has more pixels.</p>\n",
+        "those of full size: measured for the scene as it is and for combinations that take little, else as many times "
+        "longer as it has more pixels, which is too long rather than too short.</p>\n",
         study.divisor);
   if (!study.complete)
     out +=
