@@ -2,9 +2,13 @@
 
 #include <unistd.h>
 
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <utility>
 
 #include "base/text.h"
 
@@ -47,12 +51,57 @@ LightCounts countLights(const Scene& scene) {
   return counts;
 }
 
+/// The scene with a picture 1 / divisor as wide and high; none where that would be next to nothing, or where a file
+/// holds the camera.
+std::optional<Scene> smaller(const Scene& scene, int divisor) {
+  constexpr int kLeast = 16;  // pixels a side
+  Scene small = scene;
+  if (auto* look_at = std::get_if<LookAtCamera>(&small.camera)) {
+    look_at->width /= divisor, look_at->height /= divisor;
+    if (std::min(look_at->width, look_at->height) >= kLeast) return small;
+  }
+  return std::nullopt;
+}
+
+/// Seconds of a warm frame, and its hits.
+std::pair<double, double> warmFrame(const Scene& scene, AnimationOptions options, int frame, bool shortcuts) {
+  Reporter quiet(ProgressMode::none, LogLevel::error);
+  options.shortcuts = shortcuts;
+  options.support = false;
+  options.frames = {frame, frame, frame, frame};
+  const auto frames = renderAnimation(scene, options, quiet);
+  double least = frames[1].seconds;
+  for (std::size_t i = 2; i < frames.size(); ++i) least = std::min(least, frames[i].seconds);
+  return {least, static_cast<double>(quiet.counters()["hits"]) / static_cast<double>(frames.size())};
+}
+
+/// How many times as long a frame of `hits` hits would take without the shortcuts, foretold from two small pictures
+/// either way: what a frame costs at any size, and what each hit adds. 0: the picture is too small to tell.
+double promisedFactor(const Scene& scene, const AnimationOptions& options, int frame, double hits) {
+  const auto small = smaller(scene, 4), large = smaller(scene, 2);
+  if (!small || !large) return 0;
+  const auto foretold = [&](bool shortcuts) {
+    const auto [seconds_a, hits_a] = warmFrame(*small, options, frame, shortcuts);
+    const auto [seconds_b, hits_b] = warmFrame(*large, options, frame, shortcuts);
+    const double a_hit = hits_b > hits_a ? std::max(0.0, seconds_b - seconds_a) / (hits_b - hits_a) : 0;
+    return seconds_b + (hits - hits_b) * a_hit;
+  };
+  return foretold(false) / foretold(true);
+}
+
 }  // namespace
+
+double measuredFactor(const Scene& scene, AnimationOptions options, int frame) {
+  const Scratch scratch;
+  options.output = (scratch.path() / "frame.####.exr").string();
+  return warmFrame(scene, options, frame, false).first / warmFrame(scene, options, frame, true).first;
+}
 
 Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Reporter& reporter) {
   const Scratch scratch;
   options.output = (scratch.path() / "frame.####.exr").string();
   options.frames = {frame};
+  options.support = true;
   const std::vector<RenderedFrame> rendered = renderAnimation(scene, options, reporter);
   const auto counters = reporter.counters();
   const auto figures = reporter.figures();
@@ -92,12 +141,19 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       still                          ? "the model stays at rest"
       : scene.deformation.constant() ? "every point once, since no key moves it"
                                      : "every point at every frame");
+  const double factor = rigid && !guided && lights.directional + lights.environments > 0
+                            ? promisedFactor(scene, options, frame, counted("hits"))
+                            : 0;
   add("one orientation for all hits", rigid,
       still   ? "nothing is deformed"
       : rigid ? "the deformation is rigid"
               : "the deformation turns points differently",
-      rigid ? "one vector of light weights" : "vectors of light weights by orientation",
+      rigid ? "one vector of light weights" +
+                  (factor > 0 ? ": " + shortNumber(std::round(10 * factor) / 10) + " times as fast as one for each hit"
+                              : "")
+            : "vectors of light weights by orientation",
       shortNumber(counted("light_vectors")) + " vectors");
+  if (factor > 0) plan.back()["factor"] = factor;
   add("shared light weights", !rigid && scene.accuracy.light_sharing > 0,
       "/accuracy/light_sharing is " + shortNumber(scene.accuracy.light_sharing) + " degrees");
   add("point lights", lights.near_lights + lights.from_file > 0,
@@ -111,15 +167,23 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
                             : "");
   add("captured lights", lights.captured > 0, std::to_string(lights.captured) + " in /lights");
   add("guided interpolation", guided,
-      scene.interpolation == Interpolation::plain    ? "/interpolation is \"plain\""
+      scene.shadows == Shadows::both                 ? "/effects/shadows is \"both\", which is plain alone"
+      : scene.interpolation == Interpolation::plain  ? "/interpolation is \"plain\""
       : scene.interpolation == Interpolation::guided ? "/interpolation is \"guided\""
       : guided                                       ? "the model holds a fit"
                                                      : "the model holds no fit",
       "", guided ? shortNumber(counted("model_values")) + " values of the fitted model" : "");
-  const bool cast = guided && scene.shadows != Shadows::off;
+  const bool by_rays = !guided && (scene.shadows == Shadows::deformed || scene.shadows == Shadows::both ||
+                                   scene.shadows == Shadows::off);
+  const bool cast = by_rays || (guided && scene.shadows != Shadows::off);
   const bool deformed_shadows = scene.shadows == Shadows::deformed || (scene.shadows == Shadows::automatic && !still);
   add("shadow rays", cast,
-      !guided                               ? "plain interpolation has the photographs' own shadows"
+      !guided && !by_rays ? "plain interpolation has the photographs' own shadows"
+      : by_rays && scene.shadows == Shadows::deformed
+          ? "/effects/shadows is \"deformed\": rays in the deformed model, and at rest to divide its shadows out"
+      : by_rays && scene.shadows == Shadows::both
+          ? "/effects/shadows is \"both\": rays in the deformed model, beside the photographs' own shadows"
+      : by_rays                             ? "/effects/shadows is \"off\": rays at rest to divide its shadows out"
       : scene.shadows == Shadows::off       ? "/effects/shadows is \"off\""
       : scene.shadows == Shadows::automatic ? (deformed_shadows ? "guided and deformed: the deformed model's shadows"
                                                                 : "guided and at rest: the rest pose's shadows")
@@ -150,7 +214,13 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
   for (const auto& [name, value] : figures)
     if (name.starts_with("seconds.")) seconds[name.substr(8)] = value;
   seconds["whole frame"] = rendered.at(0).seconds;
-  return {{"frame", frame}, {"plan", std::move(plan)}, {"seconds", std::move(seconds)}};
+  Json out{{"frame", frame}, {"plan", std::move(plan)}, {"seconds", std::move(seconds)}};
+  if (const auto& support = rendered.at(0).support; support && support->hits > 0)
+    out["support"] = {
+        {"supported", support->share(support->supported)},       {"far_from_views", support->share(support->view_far)},
+        {"far_from_lights", support->share(support->light_far)}, {"seen_by_no_view", support->share(support->occluded)},
+        {"stretched", support->share(support->stretched)},       {"text", support->text()}};
+  return out;
 }
 
 void printPlan(const Json& plan) {
@@ -165,6 +235,7 @@ void printPlan(const Json& plan) {
       "  seconds (stages of all threads are shares of the time that passed; the first frame reads its blocks)\n");
   for (const auto& [stage, value] : plan["seconds"].items())
     std::printf("      %-29s %.4f\n", stage.c_str(), value.get<double>());
+  if (plan.contains("support")) std::printf("  %s\n", plan["support"]["text"].get<std::string>().c_str());
 }
 
 }  // namespace srf

@@ -13,4 +13,7 @@ namespace srf {
 Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Reporter& reporter);
 void printPlan(const Json& plan);
 
+/// How many times as long a warm frame takes without the shortcuts that `FrameSettings::shortcuts` turns off.
+double measuredFactor(const Scene& scene, AnimationOptions options, int frame);
+
 }  // namespace srf

@@ -44,7 +44,8 @@ int main(int argc, char** argv) {
   app.add_option("--set", overrides, "/json/pointer=value: changes the scene; may be repeated")
       ->allow_extra_args(false);
   app.add_option("--aovs", options.layers,
-                 "layers to add: P, P0, N, L, handedness, stretch, shear, fallback, overlap, V, Z, view, confidence")
+                 "layers to add: P, P0, N, L, handedness, stretch, shear, fallback, overlap, V, Z, view, confidence, "
+                 "light_angle, extrapolation, occlusion")
       ->delimiter(',');
   app.add_option("--quality", quality,
                  "study.json of srf study: its setting that keeps the targets; --set wins over it");
@@ -62,10 +63,15 @@ int main(int argc, char** argv) {
     if (!quality.empty()) overrides = withQuality(quality, target_error, target_time, scene_file, overrides, reporter);
     const Scene scene = readScene(scene_file, overrides, reporter);
     options.finished = FrameLines(reporter);
+    options.support = program.statsWanted();
     double seconds = 0;
     std::size_t rendered = 0;
-    for (const RenderedFrame& frame : renderAnimation(scene, options, reporter))
+    FrameSupport support;
+    for (const RenderedFrame& frame : renderAnimation(scene, options, reporter)) {
       if (!frame.kept) seconds += frame.seconds, ++rendered;
+      if (frame.support) support.add(*frame.support);
+    }
+    if (support.hits > 0) reporter.result(support.text());
     if (rendered > 1) std::printf("%zu frames, %.3f s each\n", rendered, seconds / static_cast<double>(rendered));
   });
 }

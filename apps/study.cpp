@@ -3,6 +3,7 @@
 #include <chrono>
 #include <nlohmann/json.hpp>
 
+#include "apps/capture_page.h"
 #include "apps/html.h"
 #include "apps/program.h"
 #include "apps/study_file.h"
@@ -22,6 +23,8 @@ namespace fs = std::filesystem;
 using html::format;
 
 constexpr int kPasses = 2;          // of a setting over the frames
+constexpr int kLeastPicture = 96;   // pixels a side that a study's pictures keep
+constexpr double kFullSize = 0.05;  // of the budget: what a setting's time at full size may cost
 constexpr double kOneAtATime = 18;  // settings of about the exact one's cost; a planning figure
 
 /// "90", "90s", "10m", "1.5h" to seconds.
@@ -68,8 +71,7 @@ class Studying {
     save();
     keepFrontPictures();
     writeTextFile(folder_ / "study.csv", studyTable(study_));
-    writeTextFile(folder_ / "study.html", studyPage(
-                                              study_, [&](const MeasuredSetting& m) { return picture(m); }, folder_));
+    writeTextFile(folder_ / "study.html", studyPage(study_, [&](const MeasuredSetting& m) { return picture(m); }));
     reporter_.result((folder_ / "study.html").string() +
                      format("  %zu settings, %zu measured now%s", study_.measured.size(), rendered_,
                             whole ? "" : "; the budget ended it: run again to go on"));
@@ -113,6 +115,16 @@ class Studying {
       input += hexHash(contentHash(bytes.data(), bytes.size()));
     };
     mix(srf / "manifest.json");
+    if (scene.deformation.movesVertices()) {
+      // Where the files of a skin or a mesh sequence put the vertices at the moments that are looked at.
+      const auto motion =
+          scene.deformation.vertexMotion(loadModel(srf, readManifest(srf)).restMesh(), scene.fps, reporter_);
+      for (const int frame : frames)
+        for (const double moment : momentsOf(scene.effects, frame)) {
+          const auto& positions = motion->at(moment).positions;
+          input += hexHash(contentHash(positions.data(), positions.size() * sizeof positions[0]));
+        }
+    }
     for (const SceneLight& light : scene.lights)
       if (const auto* environment = std::get_if<EnvironmentLight>(&light)) mix(environment->map);
     for (const int frame : frames) {
@@ -145,19 +157,56 @@ class Studying {
     AnimationOptions options = animationOptions();
     options.output = (folder_ / "frames" / "probe.####.exr").string();
     options.frames = {middleFrame(), middleFrame()};
-    const Scene bare = readScene(options_.scene, {"/samples=1", "/accuracy/light_sharing=0"}, reporter_);
+    // As exact as exactSetting would have it, but for samples and lights: their cost is told by their number.
+    const Scene bare = readScene(
+        options_.scene, {"/samples=1", "/accuracy/light_sharing=0", "/accuracy/shadow_rays=1000000"}, reporter_);
     SceneProbe probe;
     probe.seconds = renderAnimation(bare, options, quiet).back().seconds;
     fs::remove(frameFile(options.output, middleFrame()));
     for (const std::string& warning : quiet.warnings()) reporter_.warn(warning);
     const auto counters = quiet.counters();
     probe.shadow_rays = counters.contains("shadow_rays");
-    // Plain interpolation has captured shadows alone: a scene that asks for others stays guided.
-    probe.guided = counters.contains("model_values") && scene.interpolation != Interpolation::plain &&
-                   (scene.shadows == Shadows::automatic || scene.shadows == Shadows::captured);
+    probe.guided = counters.contains("model_values") && scene.interpolation != Interpolation::plain;
     const double a_frame = 0.5 * options_.budget / (kOneAtATime * kPasses * static_cast<double>(study_.frames.size()));
     study_.own = ownSetting(scene, probe);
     study_.exact = exactSetting(scene, probe, a_frame);
+    choosePictureSize(scene, exactSeconds(scene, probe, study_.exact), a_frame);
+  }
+
+  /// Where an exact frame takes longer than the time allows, the study's pictures are smaller than the scene's.
+  void choosePictureSize(const Scene& scene, double seconds, double a_frame) {
+    const auto* look_at = std::get_if<LookAtCamera>(&scene.camera);
+    if (!look_at || !options_.reference.empty()) return;
+    const int least = std::min(look_at->width, look_at->height);
+    while (seconds / square(study_.divisor) > a_frame && least / (study_.divisor + 1) >= kLeastPicture)
+      ++study_.divisor;
+  }
+  std::vector<std::string> overrides(const Scene& scene, const SceneKeys& keys) const {
+    std::vector<std::string> out = overridesOf(keys);
+    if (study_.divisor > 1) {
+      const auto& look_at = std::get<LookAtCamera>(scene.camera);
+      out.push_back("/camera/w=" + std::to_string(look_at.width / study_.divisor));
+      out.push_back("/camera/h=" + std::to_string(look_at.height / study_.divisor));
+    }
+    return out;
+  }
+  /// How many times as long a frame of full size takes as the study's own: measured for the scene as it is, and for
+  /// combinations where that is cheap; else as many times as it has pixels, which is more.
+  double fullSizeFactor(const SceneKeys& keys, std::size_t memory, double small_seconds, Reporter& quiet) {
+    const double pixels = square(study_.divisor);
+    if (study_.divisor == 1) return 1;
+    const bool own = keys == study_.own && !memory;
+    const double foretold = kPasses * small_seconds * (own_factor_ > 0 ? own_factor_ : pixels);
+    if (!own && (!searching_ || foretold > kFullSize * options_.budget)) return pixels;
+    AnimationOptions options = animationOptions();
+    if (memory) options.memory_bytes = memory;
+    options.output = (folder_ / "frames" / "full.####.exr").string();
+    options.frames.assign(kPasses, middleFrame());
+    const auto frames = renderAnimation(readScene(options_.scene, overridesOf(keys), quiet), options, quiet);
+    fs::remove(frameFile(options.output, middleFrame()));
+    const double factor = frames.back().seconds / small_seconds;
+    if (own) own_factor_ = factor;
+    return factor;
   }
 
   AnimationOptions animationOptions() const {
@@ -182,6 +231,7 @@ class Studying {
         todo.emplace_back(knob.values[i], knob.memory.empty() ? 0 : knob.memory[i]);
     if (!measureList("one knob at a time", todo)) return false;
     todo.clear();
+    searching_ = true;
     for (const SceneKeys& keys : worthTrying(study_)) todo.emplace_back(keys, 0);
     return measureList("search", todo);
   }
@@ -201,7 +251,7 @@ class Studying {
   void measure(const SceneKeys& keys, std::size_t memory) {
     const double start = elapsed();
     Reporter quiet(ProgressMode::none, LogLevel::error);
-    const Scene scene = readScene(options_.scene, overridesOf(keys), quiet);
+    const Scene scene = readScene(options_.scene, overrides(readScene(options_.scene, {}, quiet), keys), quiet);
     AnimationOptions options = animationOptions();
     options.output = pattern(keys, memory);
     if (memory) options.memory_bytes = memory;
@@ -227,6 +277,10 @@ class Studying {
       if (keys != study_.exact && study_.frames[f] != middleFrame()) fs::remove(frames[f].file);
     }
     if (memory) fs::remove(frameFile(options.output, middleFrame()));
+    Reporter full_size(ProgressMode::none, LogLevel::error);
+    const double factor = fullSizeFactor(keys, memory, m.seconds[count / 2], full_size);
+    for (double& seconds : m.seconds) seconds *= factor;
+    m.spread *= factor, m.cold *= factor;
     const auto figures = quiet.figures();
     const auto figure = [&](const char* name) { return figures.contains(name) ? figures.at(name) : 0; };
     m.bytes_read = figure("cache.bytes_read");
@@ -255,20 +309,39 @@ class Studying {
   Study study_;
   std::size_t rendered_ = 0;
   double last_seconds_ = 0;
+  double own_factor_ = 0;  // of fullSizeFactor, of the scene as it is; 0: not measured
+  bool searching_ = false;
 };
+
+void runCaptureStudy(const fs::path& srf_folder, const fs::path& output, const CaptureStudyOptions& options,
+                     Reporter& reporter) {
+  std::vector<ShownPrediction> shown;
+  const CaptureStudy study = studyCapture(srf_folder, options, shown, reporter);
+  fs::create_directories(output);
+  writeCaptureStudy(output / "capture.json", study);
+  writeTextFile(output / "capture.csv", captureTable(study));
+  writeTextFile(output / "capture.html", capturePage(study, shown));
+  for (const std::string& sentence : captureSentences(study)) reporter.result(sentence);
+  reporter.result((output / "capture.html").string());
+}
 
 }  // namespace
 }  // namespace srf
 
 int main(int argc, char** argv) {
   using namespace srf;
-  Program program("study",
-                  "Measures what accuracy costs in time on a scene: each knob of the renderer alone, then the best "
-                  "combinations. Writes study.json, study.csv and the page study.html; srf render --quality uses them. "
-                  "A study that was interrupted, or whose budget ended, goes on when run again.");
+  Program program(
+      "study",
+      "Measures what accuracy costs in time on a scene: each knob of the renderer alone, then the best "
+      "combinations. Writes study.json, study.csv and the page study.html; srf render --quality uses them. "
+      "A study that was interrupted, or whose budget ended, goes on when run again. With --capture instead: "
+      "how well the capture itself foretells photographs that were left out of it, and what more views or "
+      "lights would bring; writes capture.json, capture.csv and capture.html.");
   Options options;
+  std::string capture;
+  CaptureStudyOptions capture_options;
   std::string budget = "10m";
-  program.app().add_option("scene", options.scene, "scene.json")->required();
+  program.app().add_option("scene", options.scene, "scene.json");
   program.app().add_option("-o,--output", options.output, "folder of the study")->required();
   program.app().add_option("--srf", options.srf, "the field, X.srf; default: the scene's");
   program.app().add_option("--budget", budget, "time of this run: 90s, 10m, 1h")->capture_default_str();
@@ -277,7 +350,19 @@ int main(int argc, char** argv) {
       .add_option("--frames", options.frames, "number of the scene's frames to study, spread over the animation")
       ->check(CLI::Range(1, 1000))
       ->capture_default_str();
+  program.app().add_option("--capture", capture, "X.srf: study the capture that it holds, no scene");
+  program.app()
+      .add_option("--pictures", capture_options.pictures, "with --capture: photographs to foretell, of each kind")
+      ->check(CLI::Range(1, 1000))
+      ->capture_default_str();
   return program.run(argc, argv, [&](Reporter& reporter) {
+    if (capture.empty() == options.scene.empty())
+      throw Error(ErrorKind::usage, "expected a scene.json, or --capture X.srf without one", "srf study");
+    if (!capture.empty()) {
+      capture_options.memory_bytes = program.memoryBudget();
+      runCaptureStudy(capture, options.output, capture_options, reporter);
+      return;
+    }
     options.budget = parseBudget(budget);
     options.memory_bytes = program.memoryBudget();
     Studying(options, reporter).run();

@@ -149,6 +149,7 @@ Study readStudy(const std::filesystem::path& file) {
   study.input_hash = root["input_hash"].string();
   study.scene_hash = root["scene_hash"].string();
   study.passes = static_cast<int>(root["passes"].integer(1, 1000));
+  if (const auto divisor = root.find("picture_divisor")) study.divisor = static_cast<int>(divisor->integer(1, 65536));
   study.complete = root["complete"].boolean();
   for (std::size_t i = 0; i < root["frames"].size(); ++i)
     study.frames.push_back(static_cast<int>(root["frames"].at(i).integer(-1000000, 1000000)));
@@ -170,6 +171,7 @@ void writeStudy(const std::filesystem::path& file, const Study& study) {
   out["scene_hash"] = study.scene_hash;
   out["frames"] = study.frames;
   out["passes"] = study.passes;
+  out["picture_divisor"] = study.divisor;
   out["complete"] = study.complete;
   out["margin"] = {{"error", kErrorMargin}, {"seconds", kTimeMargin}};
   out["exact"] = keysToJson(study.exact);

@@ -53,6 +53,7 @@ struct Study {
   std::string scene, field, input_hash, scene_hash, reference;
   std::vector<int> frames;
   int passes = 0;
+  int divisor = 1;  ///< the pictures were rendered 1 / divisor as wide and high; times are those of full size
   bool complete = false;
   SceneKeys exact, own;  ///< keys of the all-exact setting, and of the scene as it is
   std::vector<Knob> knobs;

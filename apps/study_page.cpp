@@ -5,21 +5,26 @@
 
 #include "apps/heat_image.h"
 #include "apps/html.h"
+#include "apps/plot.h"
 #include "apps/program.h"
-#include "base/files.h"
 #include "base/image_io.h"
 #include "base/image_metrics.h"
 
 namespace srf {
 namespace {
 
-using html::base64;
 using html::escaped;
 using html::format;
+using plot::Axis;
+using plot::kErrorColour;
+using plot::kTimeColour;
+using plot::line;
+using plot::percent;
+using plot::png;
+using plot::tickLabel;
+using plot::uprightAxis;
 
 constexpr double kFloor = 1e-5;  // errors below are drawn here: a logarithm has no 0
-const char* const kErrorColour = "#c0392b";
-const char* const kTimeColour = "#2a5d9f";
 
 std::string keysText(const SceneKeys& keys) {
   std::string out;
@@ -27,55 +32,12 @@ std::string keysText(const SceneKeys& keys) {
   return escaped(out);
 }
 
-std::string percent(double error) {
-  return error == 0 ? "0 %" : format("%.3g %%", 100 * error);
-}
-
-/// A logarithmic axis from the decade below `least` to the one above `most`, or nearer where that is wide.
-struct Axis {
-  double low, high, from, to;  // values, and where they are drawn
-  Axis(double least, double most, double from_, double to_) : from(from_), to(to_) {
-    low = least / 1.25, high = most * 1.25;
-    if (high / low < 3) low /= 1.5, high *= 1.5;
-  }
-  double at(double value) const {
-    return from +
-           (to - from) * (std::log(std::clamp(value, low, high)) - std::log(low)) / (std::log(high) - std::log(low));
-  }
-  std::vector<double> ticks() const {
-    std::vector<double> out;
-    for (int decade = static_cast<int>(std::floor(std::log10(low))); decade <= std::log10(high); ++decade)
-      for (const double digit : {1.0, 2.0, 5.0})
-        if (const double tick = digit * std::pow(10, decade); tick >= low && tick <= high) out.push_back(tick);
-    if (out.size() > 7) std::erase_if(out, [](double t) { return std::fabs(std::remainder(std::log10(t), 1)) > 1e-6; });
-    return out;
-  }
-};
-
-std::string tickLabel(double value, bool error) {
-  return error ? format("%g %%", 100 * value) : format("%g s", value);
-}
-
-/// Ticks and rules of an upright axis, labels at `x`.
-std::string uprightAxis(const Axis& axis, bool error, double x, bool left, double rule_from, double rule_to) {
-  std::string out;
-  for (const double tick : axis.ticks()) {
-    if (left)
-      out += format("<line x1=\"%.1f\" x2=\"%.1f\" y1=\"%.1f\" y2=\"%.1f\" stroke=\"#eee\"/>", rule_from, rule_to,
-                    axis.at(tick), axis.at(tick));
-    out += format("<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\" style=\"fill:%s\">%s</text>\n", x, axis.at(tick) + 4,
-                  left ? "end" : "start", error ? kErrorColour : kTimeColour, tickLabel(tick, error).c_str());
-  }
-  return out;
-}
-
-std::string line(const std::vector<std::pair<double, double>>& points, const char* colour) {
-  std::string path, dots;
-  for (const auto& [x, y] : points) {
-    path += format("%s%.1f %.1f", path.empty() ? "M" : "L", x, y);
-    dots += format("<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3.5\" fill=\"%s\"/>", x, y, colour);
-  }
-  return "<path d=\"" + path + format("\" fill=\"none\" stroke=\"%s\" stroke-width=\"2\"/>", colour) + dots + "\n";
+/// What a setting does otherwise than the exact one.
+std::string changesText(const Study& study, const SceneKeys& keys) {
+  SceneKeys changed;
+  for (const auto& [key, value] : keys)
+    if (const auto at = study.exact.find(key); at == study.exact.end() || at->second != value) changed[key] = value;
+  return changed.empty() ? "all exact" : keysText(changed);
 }
 
 double drawn(const MeasuredSetting& m) {
@@ -107,7 +69,7 @@ std::string frontPlot(const Study& study) {
     if (m.memory_bytes) continue;
     out += format("<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"#bbb\"><title>", x.at(m.worstSeconds()),
                   y.at(drawn(m))) +
-           keysText(m.keys) + "</title></circle>\n";
+           changesText(study, m.keys) + "</title></circle>\n";
   }
   std::vector<std::pair<double, double>> points;
   for (const MeasuredSetting* m : front) points.emplace_back(x.at(m->worstSeconds()), y.at(drawn(*m)));
@@ -117,9 +79,9 @@ std::string frontPlot(const Study& study) {
         "<rect x=\"%.1f\" y=\"%.1f\" width=\"12\" height=\"12\" fill=\"none\" stroke=\"%s\" "
         "stroke-width=\"2.5\"/>\n",
         x.at(own->worstSeconds()) - 6, y.at(drawn(*own)) - 6, kTimeColour);
-  const double legend = width - right - 250;
+  const double legend = width - right - 300;
   out += format(
-      "<rect x=\"%g\" y=\"%g\" width=\"245\" height=\"66\" fill=\"#fff\" fill-opacity=\".85\" stroke=\"#ddd\"/>"
+      "<rect x=\"%g\" y=\"%g\" width=\"295\" height=\"66\" fill=\"#fff\" fill-opacity=\".85\" stroke=\"#ddd\"/>"
       "<circle cx=\"%g\" cy=\"%g\" r=\"4\" fill=\"%s\"/><text x=\"%g\" y=\"%g\">the front: nothing measured beats "
       "these</text><circle cx=\"%g\" cy=\"%g\" r=\"3\" fill=\"#bbb\"/><text x=\"%g\" y=\"%g\">other "
       "settings</text>",
@@ -129,18 +91,23 @@ std::string frontPlot(const Study& study) {
       "<rect x=\"%g\" y=\"%g\" width=\"10\" height=\"10\" fill=\"none\" stroke=\"%s\" stroke-width=\"2.5\"/>"
       "<text x=\"%g\" y=\"%g\">the scene as it is</text></svg>\n",
       legend + 9, top + 51, kTimeColour, legend + 28, top + 60);
-  return out + format("<p>Down is nearer to the exact picture, left is faster. An error of 0 is drawn at %g %%.</p>\n",
-                      100 * kFloor);
+  return out +
+         format(
+             "<p>Each dot is one setting of the renderer, tried on this scene: down is nearer to the exact picture, "
+             "left is "
+             "faster. Error is how far a pixel is off, of its own brightness, in the mean. An error of 0 is drawn at "
+             "%g %%.</p>\n",
+             100 * kFloor);
 }
 
 std::string recommendations(const Study& study) {
   std::string out =
       "<h2>What to use</h2>\n<table>\n<tr><th>wanted</th><th>promised error</th><th>promised time</th>"
-      "<th>settings</th></tr>\n";
+      "<th>settings, where not exact</th></tr>\n";
   const auto front = study.front();
   const auto row = [&](const std::string& wanted, const MeasuredSetting& m) {
     out += "<tr><td>" + wanted + "</td><td class=\"n\">" + percent(m.worstError() * kErrorMargin) +
-           format("</td><td class=\"n\">%.3g s</td><td>", m.worstSeconds() * kTimeMargin) + keysText(m.keys) +
+           format("</td><td class=\"n\">%.3g s</td><td>", m.worstSeconds() * kTimeMargin) + changesText(study, m.keys) +
            "</td></tr>\n";
   };
   for (const double error : {0.03, 0.01, 0.003, 0.001})
@@ -199,15 +166,7 @@ std::string knobPlot(const Study& study, const Knob& knob) {
                 cheap.worstSeconds() / exact.worstSeconds());
 }
 
-std::string png(const Image8& image, const std::filesystem::path& folder) {
-  const std::filesystem::path file = folder / "frames" / "page.png";
-  writePng(file, image);
-  const auto bytes = readBinaryFile(file);
-  std::filesystem::remove(file);
-  return "<img width=\"300\" alt=\"\" src=\"data:image/png;base64," + base64(bytes) + "\">";
-}
-
-std::string pictures(const Study& study, const PictureOf& picture, const std::filesystem::path& folder) {
+std::string pictures(const Study& study, const PictureOf& picture) {
   const MeasuredSetting* exact = study.find(study.exact);
   const ImageF reference = picture(*exact);
   if (reference.empty()) return "";
@@ -225,11 +184,11 @@ std::string pictures(const Study& study, const PictureOf& picture, const std::fi
     if (image.empty()) continue;
     const ImageDifference d = compareImages(image, reference);
     const double exposure = 1 / d.white;
-    out += "<p>" + keysText(m->keys) +
+    out += "<p>" + changesText(study, m->keys) +
            format(": error %s, FLIP %.4f, %.3g s a frame</p>\n", percent(m->worstError()).c_str(), d.inside.flip,
                   m->worstSeconds()) +
-           png(displayImage(reference, exposure), folder) + " " + png(displayImage(image, exposure), folder) + " " +
-           png(heatImage(d.flip_map), folder) + "\n";
+           png(displayImage(reference, exposure)) + " " + png(displayImage(image, exposure)) + " " +
+           png(heatImage(d.flip_map)) + "\n";
   }
   return out;
 }
@@ -238,7 +197,8 @@ std::string frontTable(const Study& study) {
   std::string out =
       "<h2>The front</h2>\n<table>\n<tr><th>time</th><th>error</th><th>99.9 %</th><th>PSNR</th><th>FLIP</th>";
   const bool truth = !study.reference.empty();
-  out += truth ? "<th>error to truth</th><th>settings</th></tr>\n" : "<th>settings</th></tr>\n";
+  out += truth ? "<th>error to truth</th><th>settings, where not exact</th></tr>\n"
+               : "<th>settings, where not exact</th></tr>\n";
   for (const MeasuredSetting* m : study.front()) {
     double tail = 0, psnr = HUGE_VAL, flip = 0, true_error = 0;
     for (const FrameError& e : m->exact)
@@ -249,7 +209,7 @@ std::string frontTable(const Study& study) {
         "<td class=\"n\">%.4f</td>",
         m->worstSeconds(), percent(m->worstError()).c_str(), percent(tail).c_str(), psnr, flip);
     if (truth) out += "<td class=\"n\">" + percent(true_error) + "</td>";
-    out += "<td>" + keysText(m->keys) + "</td></tr>\n";
+    out += "<td>" + changesText(study, m->keys) + "</td></tr>\n";
   }
   return out +
          "</table>\n<p class=\"note\">The worst studied frame of each. \"error\" is the mean over the object's "
@@ -259,7 +219,7 @@ std::string frontTable(const Study& study) {
 
 }  // namespace
 
-std::string studyPage(const Study& study, const PictureOf& picture, const std::filesystem::path& folder) {
+std::string studyPage(const Study& study, const PictureOf& picture) {
   std::string frames;
   for (const int frame : study.frames) frames += (frames.empty() ? "" : ", ") + std::to_string(frame);
   std::string out = "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>" + escaped(study.scene) +
@@ -270,6 +230,12 @@ std::string studyPage(const Study& study, const PictureOf& picture, const std::f
   if (const MeasuredSetting* exact = study.find(study.exact), *own = study.find(study.own); exact && own)
     out += format("<p>The exact picture takes %.3g s a frame. The scene as it is takes %.3g s and differs by %s.</p>\n",
                   exact->worstSeconds(), own->worstSeconds(), percent(own->worstError()).c_str());
+  if (study.divisor > 1)
+    out += format(
+        "<p class=\"note\">To fit the time, the study's pictures are 1/%d as wide and high as the scene's. Times are "
+        "those of full size: measured for the scene as it is and for combinations that take little, else as many times "
+        "longer as it has more pixels, which is too long rather than too short.</p>\n",
+        study.divisor);
   if (!study.complete)
     out +=
         "<p class=\"warn\">The time ran out before everything was measured: run <code>srf study</code> again to go "
@@ -281,7 +247,7 @@ std::string studyPage(const Study& study, const PictureOf& picture, const std::f
              "the exact setting's error is 0 and drawn at the bottom.</p>\n",
              kErrorColour, kTimeColour);
   for (const Knob& knob : study.knobs) out += knobPlot(study, knob);
-  out += pictures(study, picture, folder) + frontTable(study);
+  out += pictures(study, picture) + frontTable(study);
   out += "<h2>What \"exact\" means here</h2>\n<p>" + keysText(study.exact) +
          "</p>\n<p class=\"note\">The most exact setting that the time allowed: environment samples 0 are all texels; "
          "views and lights are the scene's own, for how many are interpolated is a choice of the method that a true "

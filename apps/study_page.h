@@ -10,6 +10,6 @@ namespace srf {
 
 /// The picture of a setting at the study's middle frame; an empty one where it is not kept.
 using PictureOf = std::function<ImageF(const MeasuredSetting&)>;
-std::string studyPage(const Study& study, const PictureOf& picture, const std::filesystem::path& folder);
+std::string studyPage(const Study& study, const PictureOf& picture);
 
 }  // namespace srf

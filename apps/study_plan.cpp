@@ -134,6 +134,16 @@ SceneKeys exactSetting(const Scene& scene, const SceneProbe& probe, double secon
   return keys;
 }
 
+double exactSeconds(const Scene& scene, const SceneProbe& probe, const SceneKeys& exact) {
+  const Environments environments = environmentsOf(scene);
+  double seconds = probe.seconds * numberOf(exact, kSamples);
+  if (!environments.keys.empty()) {
+    const auto taken = [&](double samples) { return samples == 0 ? environments.texels : samples; };
+    seconds *= std::max(1.0, taken(numberOf(exact, environments.keys[0])) / taken(environments.own));
+  }
+  return seconds;
+}
+
 std::vector<Knob> knobsOf(const SceneKeys& exact, const SceneKeys& own, std::size_t memory_bytes) {
   std::vector<Knob> knobs;
   std::vector<std::string> environments;

@@ -11,7 +11,7 @@ namespace srf {
 
 /// What a first rendering of the scene told.
 struct SceneProbe {
-  double seconds = 0;  ///< of a frame with one sample a pixel and light weights that are not shared
+  double seconds = 0;  ///< of a frame with one sample a pixel, every shadow ray and light weights that are not shared
   bool guided = false, shadow_rays = false;
 };
 
@@ -21,6 +21,8 @@ SceneKeys ownSetting(const Scene& scene, const SceneProbe& probe);
 /// and as many environment lights and samples a pixel as the time allows, never fewer than the scene's own. Views and
 /// lights are the scene's: how many are interpolated is a choice of the method, not an approximation of it.
 SceneKeys exactSetting(const Scene& scene, const SceneProbe& probe, double seconds);
+/// About how long a frame of it takes.
+double exactSeconds(const Scene& scene, const SceneProbe& probe, const SceneKeys& exact);
 /// Each knob from exact to cheap. `memory_bytes`: what --memory gives.
 std::vector<Knob> knobsOf(const SceneKeys& exact, const SceneKeys& own, std::size_t memory_bytes);
 /// The settings that promise the least time for errors from 10 % down to 0.03 %, foretold from each knob's own curve:

@@ -8,9 +8,9 @@
 
 #include "acquire/acquire_field.h"
 #include "acquire/camera_import.h"
+#include "apps/holdout.h"
 #include "apps/make_model.h"
 #include "apps/program.h"
-#include "base/image_metrics.h"
 #include "base/numeric.h"
 #include "render/frame_renderer.h"
 
@@ -101,9 +101,7 @@ int main(int argc, char** argv) {
     FrameSettings settings;
     settings.memory_bytes = program.memoryBudget();
     FrameRenderer renderer(srf_folder, field, model, settings, reporter);
-    FrameLights lights;
-    lights.rest = {{LightId{0}, 1.0}};
-
+    const FrameLights lights = asSceneLight(field, LightId{0});
     // Of all views at once, as acquisition makes them: the threshold is steadier than one view's own.
     const std::vector<SilhouetteView> masks = silhouettes(all, options.silhouette, reporter);
     double sums[3] = {}, flips[3] = {};
@@ -111,19 +109,15 @@ int main(int argc, char** argv) {
     for (const std::size_t view : held_out) {
       const Camera<ObjectSpace> camera = atRest(all.views[view].camera);
       const Frame frame = renderer.render(camera, deformed, lights);
-      const Image8& silhouette_mask = masks[view].mask;
-      ImageF mask(camera.lens.width, camera.lens.height, 1), rendered(camera.lens.width, camera.lens.height, 3);
-      for (int y = 0; y < mask.height(); ++y)
-        for (int x = 0; x < mask.width(); ++x) {
-          mask.at(x, y) = silhouette_mask.at(x, y) == 255 ? 1.f : 0.f;
-          for (int c = 0; c < 3; ++c) rendered.at(x, y, c) = frame.rgba.at(x, y, c);
-        }
+      ImageF inside(camera.lens.width, camera.lens.height, 1);
+      for (int y = 0; y < inside.height(); ++y)
+        for (int x = 0; x < inside.width(); ++x) inside.at(x, y) = masks[view].mask.at(x, y) == 255 ? 1.f : 0.f;
       const ImageF truth = photograph(all, view);
-      const ImageF images[3] = {rendered, averageOfNearest(field, deformed, photographs, camera, 1),
+      const ImageF images[3] = {frame.rgba, averageOfNearest(field, deformed, photographs, camera, 1),
                                 averageOfNearest(field, deformed, photographs, camera, 4)};
       std::printf("| %s ", all.views[view].name.c_str());
       for (int i = 0; i < 3; ++i) {
-        const MetricFigures figures = compareImages(images[i], truth, mask).inside;
+        const MetricFigures figures = scorePrediction(images[i], truth, inside).figures;
         sums[i] += figures.psnr / static_cast<double>(held_out.size());
         flips[i] += figures.flip / static_cast<double>(held_out.size());
         std::printf("| %.2f / %.3f ", figures.psnr, figures.flip);

@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <mutex>
 #include <numeric>
+#include <utility>
 
 #include "base/check.h"
 #include "base/error.h"
@@ -56,16 +58,26 @@ class Sequence final : public VertexMotion {
   Sequence(const std::string& pattern, const AcquisitionMesh& rest) : pattern_(pattern), rest_(rest) {}
   MovedVertices at(double frame) const override {
     const double whole = std::floor(frame), part = frame - whole;
-    MovedVertices moved{positions(static_cast<int>(whole)), {}};
+    MovedVertices moved{*positions(static_cast<int>(whole)), {}};
     if (part == 0) return moved;
     const auto next = positions(static_cast<int>(whole) + 1);
-    for (std::size_t i = 0; i < next.size(); ++i)
-      moved.positions[i] = moved.positions[i] + part * (next[i] - moved.positions[i]);
+    for (std::size_t i = 0; i < next->size(); ++i)
+      moved.positions[i] = moved.positions[i] + part * ((*next)[i] - moved.positions[i]);
     return moved;
   }
 
  private:
-  std::vector<Point<ObjectSpace>> positions(int frame) const {
+  using Positions = std::shared_ptr<const std::vector<Point<ObjectSpace>>>;
+  /// The last two frames stay: moments of one shutter mostly lie between the same ones.
+  Positions positions(int frame) const {
+    const std::lock_guard lock(mutex_);
+    for (auto& kept : kept_)
+      if (kept.second && kept.first == frame) return kept.second;
+    std::swap(kept_[0], kept_[1]);
+    kept_[0] = {frame, read(frame)};
+    return kept_[0].second;
+  }
+  Positions read(int frame) const {
     const std::string file = fileOfFrame(pattern_, frame);
     const AcquisitionMesh mesh = readMesh(file);
     const auto different = [&file](const std::string& what, std::size_t found, std::size_t expected) {
@@ -91,10 +103,12 @@ class Sequence final : public VertexMotion {
     }
     std::vector<Point<ObjectSpace>> positions(mesh.positions.size());
     for (std::size_t i = 0; i < positions.size(); ++i) positions[i] = Point<ObjectSpace>(mesh.positions[i].raw());
-    return positions;
+    return std::make_shared<const std::vector<Point<ObjectSpace>>>(std::move(positions));
   }
   std::string pattern_;
   AcquisitionMesh rest_;
+  mutable std::mutex mutex_;
+  mutable std::array<std::pair<int, Positions>, 2> kept_;
 };
 
 }  // namespace

@@ -150,6 +150,27 @@ void AcquiredLights::nearest(const Direction<AcquisitionSpace>& direction, const
   lumigraphWeights(scratch, k_, weights);
 }
 
+double AcquiredLights::distanceTo(std::uint32_t i, const Point<AcquisitionSpace>& p) const {
+  return lights_[i].kind == LightKind::point ? distance(lights_[i].position, p)
+                                             : std::numeric_limits<double>::infinity();
+}
+
+double AcquiredLights::angleToNearest(const Direction<AcquisitionSpace>& direction,
+                                      const Point<AcquisitionSpace>& p) const {
+  const Vec3* nearest = nullptr;
+  double most = -2;
+  Vec3 of_point;
+  for (const std::uint32_t i : cell(direction.raw())) {
+    if (!distant_) of_point = lights_[i].directionFrom(p).raw();
+    const Vec3& towards = distant_ ? direction_[i] : of_point;
+    if (const double cosine = dot(towards, direction.raw()); cosine > most) {
+      most = cosine;
+      nearest = distant_ ? &direction_[i] : nullptr;
+    }
+  }
+  return nearest ? angleBetweenUnit(*nearest, direction.raw()) : std::acos(std::clamp(most, -1.0, 1.0));
+}
+
 Vec3 AcquiredLights::inverseIrradiance(std::uint32_t i, const Point<AcquisitionSpace>& p) const {
   if (lights_[i].kind != LightKind::point) return inverse_[i];
   const double d = distance(lights_[i].position, p);

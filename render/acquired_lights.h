@@ -42,6 +42,10 @@ class AcquiredLights {
   Direction<AcquisitionSpace> directionOf(std::uint32_t i, const Point<AcquisitionSpace>& p) const {
     return lights_[i].directionFrom(p);
   }
+  /// Units from p to light i, infinite for a distant one.
+  double distanceTo(std::uint32_t i, const Point<AcquisitionSpace>& p) const;
+  /// Radians from `direction` at p to the nearest light of known direction. Where there is one.
+  double angleToNearest(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p) const;
   /// 1 / irradiance of light i at p per channel; 0 in a channel where the light is dark.
   Vec3 inverseIrradiance(std::uint32_t i, const Point<AcquisitionSpace>& p) const;
 

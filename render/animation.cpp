@@ -142,7 +142,7 @@ struct MovingScene {
     for (std::size_t i = 1; i < moments.size(); ++i) {
       Frame next = render(moments[i], renderer);
       for (std::size_t k = 0; k < sum.size(); ++k) sum[k] += next.rgba.data()[k];
-      if (i <= moments.size() / 2) frame.layers = std::move(next.layers);
+      if (i <= moments.size() / 2) frame.layers = std::move(next.layers), frame.support = next.support;
     }
     for (std::size_t k = 0; k < sum.size(); ++k)
       frame.rgba.data()[k] = static_cast<float>(sum[k] / static_cast<double>(moments.size()));
@@ -160,10 +160,7 @@ std::optional<ReflectanceFit> guidingFit(const Scene& scene, const fs::path& srf
     throw badInput(
         scene.file.string() + ": /interpolation",
         "found \"guided\", yet the model of " + srf.string() + " holds no fit; run srf model again, or use \"plain\"");
-  if (!fit && (scene.shadows == Shadows::deformed || scene.shadows == Shadows::off))
-    throw badInput(scene.file.string() + ": /effects/shadows",
-                   "asks for shadows by rays, which plain interpolation does not have, and the model of " +
-                       srf.string() + " holds no fit that would guide it; use \"captured\"");
+  if (scene.shadows == Shadows::both) return std::nullopt;  // plain alone has the photographs' own shadows to add to
   return fit;
 }
 
@@ -173,7 +170,7 @@ FrameSettings frameSettings(const Scene& scene, const std::optional<ReflectanceF
   settings.fit = fit ? &*fit : nullptr;
   settings.shadows = scene.shadows;
   if (scene.shadows == Shadows::automatic)
-    settings.shadows = scene.deformation.none() ? Shadows::captured : Shadows::deformed;
+    settings.shadows = !fit || scene.deformation.none() ? Shadows::captured : Shadows::deformed;
   settings.samples = scene.samples;
   settings.matte = scene.effects.matte;
   settings.memory_bytes = memory_bytes;
@@ -211,6 +208,9 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
   const Attributes common = commonAttributes(scene, manifest, srf, layers);
   FrameSettings settings = frameSettings(scene, fit, options.memory_bytes);
   settings.layers = layers;
+  settings.support = options.support;
+  settings.shortcuts = options.shortcuts;
+  FrameSupport support;  // of all frames together
   MovingScene moving{scene, light_set, vertex_motion.get(), DeformedModel(model), reporter};
   std::optional<FrameRenderer> renderer;  // opened with the first frame that is not kept
   std::vector<RenderedFrame> rendered;
@@ -227,6 +227,10 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
     } else {
       if (!renderer) renderer.emplace(srf, manifest, model, settings, reporter);
       const Frame frame = moving.render(moments, *renderer);
+      if ((result.support = frame.support)) {
+        support.add(*frame.support);
+        reporter.figure("support.frame." + std::to_string(number), frame.support->share(frame.support->supported));
+      }
       attributes["command"] = options.command;
       attributes["framesPerSecond"] = std::to_string(scene.fps);
       if (const std::size_t clamped = writeFrame(result.file, frame, attributes)) {
@@ -239,6 +243,13 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
     rendered.push_back(result);
     if (options.finished) options.finished(result, numbers.size() - rendered.size());
     stage.advance();
+  }
+  if (support.hits > 0) {
+    reporter.figure("support.supported", support.share(support.supported));
+    reporter.figure("support.far_from_views", support.share(support.view_far));
+    reporter.figure("support.far_from_lights", support.share(support.light_far));
+    reporter.figure("support.seen_by_no_view", support.share(support.occluded));
+    reporter.figure("support.stretched", support.share(support.stretched));
   }
   return rendered;
 }

@@ -16,7 +16,8 @@ struct RenderedFrame {
   int frame = 0;
   std::filesystem::path file;
   double seconds = 0;
-  bool kept = false;  ///< found finished by --resume
+  bool kept = false;                    ///< found finished by --resume
+  std::optional<FrameSupport> support;  ///< where the options ask for it
 };
 
 struct AnimationOptions {
@@ -25,6 +26,8 @@ struct AnimationOptions {
   std::vector<int> frames;          ///< overrides the scene's where not empty
   std::vector<std::string> layers;  ///< groups of knownLayers()
   bool resume = false;              ///< keep frames whose header carries the same settings and input hashes
+  bool shortcuts = true;            ///< FrameSettings::shortcuts
+  bool support = false;             ///< how much of each picture the capture supports; figures "support..." tell too
   std::size_t memory_bytes = std::size_t{1} << 30;
   std::string command;  ///< for the frames' headers
   /// Called with each frame as it is finished, and with how many are left.

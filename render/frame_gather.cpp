@@ -116,9 +116,15 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
       addOperations(target, c, handle->second, out.shading.operations);
     }
     const SurfaceHit& hit = hits[met[m]];
+    const int x = static_cast<int>(pixels[met[m]] % width), y = static_cast<int>(pixels[met[m]] / width);
+    std::optional<HitSupport> hit_support;
+    if (support && first_of_pixel && (layers || (x % 2 == 0 && y % 2 == 0))) {
+      hit_support = support->at(hit, look_ups[m], chosen.of(m), chosen.result[m], plan.lighting);
+      if (x % 2 == 0 && y % 2 == 0) out.support.add(*hit_support);
+    }
     if (first_of_pixel && layers)
-      layers->set(static_cast<int>(pixels[met[m]] % width), static_cast<int>(pixels[met[m]] / width),
-                  {hit, look_ups[m], queries[m].view, chosen.of(m),
+      layers->set(x, y,
+                  {hit, look_ups[m], queries[m].view, chosen.of(m), hit_support ? &*hit_support : nullptr,
                    deformed.model().kind == ModelKind::surfels ? hit.count : 1});
     if (explained) {
       const auto views = chosen.of(m);
@@ -145,19 +151,23 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     out.guided.resize(met.size());
     lap(kShadows);
   }
+  CastShadows::Counts cast_counts;
   for (const auto& [m, list] : wanted) {  // M13, M14
     const LookUp& look_up = look_ups[m];
     if (guided && guided_block.hits[m].gate > 0) {
       guided->gather(guided_block, m, list, out.shading.lights, out.guided[m]);
       continue;
     }
-    plan.lighting.gather(list,
-                         {look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
-                          look_up.acquisition_from_object.inverse() * look_up.normal},
-                         out.shading.lights);
+    const LitPoint point{look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
+                         look_up.acquisition_from_object.inverse() * look_up.normal};
+    if (plan.cast)
+      plan.cast->gather(list, point, out.shading.lights, cast_counts);
+    else
+      plan.lighting.gather(list, point, out.shading.lights);
   }
   out.shading.lights.known = {};
-  out.shadow_rays = guided_block.shadow_rays;
+  out.shadow_rays = guided_block.shadow_rays + cast_counts.rays;
+  out.shadows_not_told = cast_counts.not_told;
   out.model_values = guided_block.model_values;
   lap(kWeights);
   if (settings.order == ExecutionOrder::sorted) sortOperations(out.shading);

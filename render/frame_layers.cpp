@@ -27,6 +27,9 @@ const std::vector<LayerGroup>& layerGroups() {
       {"Z", {"Z"}},
       {"view", {}},
       {"confidence", {"confidence"}},
+      {"light_angle", {"light_angle"}},
+      {"extrapolation", {"extrapolation"}},
+      {"occlusion", {"occlusion"}},
   };
   return groups;
 }
@@ -80,6 +83,10 @@ void Layers::set(int x, int y, const LayerValues& at) {
   double nearest = kPi;
   for (const ChosenView& chosen : at.chosen) nearest = std::min(nearest, chosen.angle);
   put(x, y, "confidence", degrees(nearest));
+  if (!at.support) return;
+  put(x, y, "light_angle", at.support->light_angle);
+  put(x, y, "extrapolation", at.support->view_far ? 1 : at.support->light_far);
+  put(x, y, "occlusion", at.support->occluded);
 }
 
 void Layers::put(int x, int y, const std::string& channel, double value) {

@@ -7,13 +7,14 @@
 #include <vector>
 
 #include "base/image.h"
+#include "render/capture_support.h"
 #include "render/look_up.h"
 #include "render/view_selection.h"
 
 namespace srf {
 
 /// The layers of --aovs by group: "P", "P0", "N", "L", "handedness", "stretch", "shear", "fallback", "overlap", "V",
-/// "Z", "view", "confidence" (doc: conventions, Layers).
+/// "Z", "view", "confidence", "light_angle", "extrapolation", "occlusion" (doc: conventions, Layers).
 std::vector<std::string> knownLayers();
 
 /// What the layers show of one hit.
@@ -22,6 +23,7 @@ struct LayerValues {
   const LookUp& look_up;
   const Direction<AcquisitionSpace>& view;
   std::span<const ChosenView> chosen;
+  const HitSupport* support;  ///< null where no layer asks for it
   int surfaces;  ///< blended at the hit: overlapping splats, or one triangle
 };
 

@@ -53,9 +53,10 @@ std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> onlyOrientation(const D
 FrameLighting::Options lightingOptions(const FrameRenderer::State& state, const DeformedModel& deformed,
                                        const FrameLights& lights) {
   FrameLighting::Options options;
-  options.sharing = state.settings.accuracy.light_sharing;
+  options.sharing = state.settings.shortcuts ? state.settings.accuracy.light_sharing : 0;
   options.min_distance = std::max(state.settings.accuracy.min_distance, 1e-9) * state.diameter;
-  if (!lights.distant.empty()) options.only_orientation = onlyOrientation(deformed, state.settings.accuracy.frame);
+  if (state.settings.shortcuts && !lights.distant.empty())
+    options.only_orientation = onlyOrientation(deformed, state.settings.accuracy.frame);
   return options;
 }
 
@@ -116,6 +117,8 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
   }
   selection.emplace(std::move(views), model.visible, settings.accuracy.views);
   levels.emplace(selection->views(), box, settings.accuracy.texels);
+  if (settings.support || CaptureSupport::wanted(settings.layers))
+    support.emplace(selection->views(), lists, list_of_view, box);
   // What the program holds already (the model, its tree, the stores' indices) counts too. An eighth is for what passes:
   // the picture, scratch memory, what the allocator keeps.
   const std::size_t held = residentBytes() + settings.memory_bytes / 8;
@@ -142,9 +145,15 @@ FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& fra
   if (effects.ground)
     ground.emplace(*effects.ground, frame_lights, deformed_model,
                    GroundShading::Options{state.settings.accuracy.shadow_rays, lighting.options().min_distance});
+  const Shadows shadows = state.settings.shadows;
+  const bool at_rest = shadows == Shadows::captured;
+  const bool plain_rays = !state.settings.fit && !at_rest;
+  if ((plain_rays ? shadows != Shadows::both : state.settings.fit && at_rest) && !state.rest)
+    state.rest.emplace(deformed.model());
+  if (plain_rays)
+    cast.emplace(lighting, deformed, state.rest ? &*state.rest : nullptr,
+                 CastShadows::Options{shadows, state.settings.accuracy.shadow_rays});
   if (!state.settings.fit) return;
-  const bool at_rest = state.settings.shadows == Shadows::captured;
-  if (at_rest && !state.rest) state.rest.emplace(deformed.model());
   GuidedLighting::Options guide;
   guide.shadows = state.settings.shadows;
   guide.shadow_rays = state.settings.accuracy.shadow_rays;
@@ -184,6 +193,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   const int group = static_cast<int>(std::clamp<std::size_t>(budget / 4 / block_bytes, 1, 256));
   std::uint64_t hit_count = 0, operation_count = 0, vector_count = 0;
   std::vector<std::uint64_t> first_plan;  // of the frame
+  FrameSupport frame_support;
   for (int next = 0; next < blocks;) {
     std::vector<PixelBlock> batch;
     std::size_t bytes = 0;
@@ -238,7 +248,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     });
     lap("resolve");
     std::uint64_t collapsed = 0, not_seen = 0, no_view = 0, shadow_rays = 0, model_values = 0, ground_rays = 0,
-                  ground_samples = 0;
+                  ground_samples = 0, not_told = 0;
     for (std::size_t b = 0; b < batch.size(); ++b) {
       hit_count += shading[b].targets;
       operation_count += shading[b].operations.size();
@@ -250,6 +260,8 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       ground_samples += batch[b].ground.size();
       shadow_rays += batch[b].shadow_rays;
       model_values += batch[b].model_values;
+      not_told += batch[b].shadows_not_told;
+      frame_support.add(batch[b].support);
     }
     if (collapsed) s.reporter.count("frame.collapsed", collapsed);
     if (not_seen) s.reporter.count("hits.no_visible_view", not_seen);
@@ -257,6 +269,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     if (ground_rays) s.reporter.count("ground.shadow_rays", ground_rays);
     if (ground_samples) s.reporter.count("ground.samples", ground_samples);
     if (shadow_rays) s.reporter.count("shadow_rays", shadow_rays);
+    if (not_told) s.reporter.count("shadows.not_told", not_told);
     if (model_values) s.reporter.count("model_values", model_values);
   }
 
@@ -267,6 +280,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   for (std::size_t i = 0; i < sums.size(); ++i)
     for (int c = 0; c < 4; ++c) frame.rgba.data()[4 * i + c] = pixelValue(sums[i][c], plan.pattern.size(), not_finite);
   frame.layers = layers.take();
+  if (s.settings.support) frame.support = frame_support;
   lap("resolve");
 
   s.reporter.figure("samples_per_pixel", static_cast<double>(plan.pattern.size()));

@@ -27,19 +27,22 @@ namespace srf {
 struct Frame {
   ImageF rgba;                           ///< premultiplied, linear
   std::map<std::string, ImageF> layers;  ///< channel name ("P.X", "view.0") to a one-channel image
+  std::optional<FrameSupport> support;   ///< where FrameSettings asks for it
 };
 
 struct FrameSettings {
   Accuracy accuracy;
   const ReflectanceFit* fit = nullptr;  ///< guides the interpolation; none: plain. Must outlive the renderer
-  Shadows shadows = Shadows::captured;  ///< of guided interpolation
-  bool matte = false;                   ///< alpha from the coverage of the photographs' masks
-  bool model_alone = false;             ///< what the fit would show without the photographs: for studies
+  Shadows shadows = Shadows::captured;
+  bool matte = false;        ///< alpha from the coverage of the photographs' masks
+  bool model_alone = false;  ///< what the fit would show without the photographs: for studies
   /// Per pixel, a regular or stratified pattern (deterministic); more where surfels are smaller than a pixel, up to 64.
   int samples = 1;
-  std::set<std::string> layers;                     ///< groups asked for; others cost nothing
+  std::set<std::string> layers;  ///< groups asked for; others cost nothing
+  bool support = false;  ///< how much of the picture the capture supports: of every fourth pixel that shows the object
   std::size_t memory_bytes = std::size_t{1} << 30;  ///< of the whole program: what is left is for blocks and operations
   // For measuring:
+  bool shortcuts = true;  ///< off: every hit has light weights of its own, as if no two were turned alike
   std::optional<std::size_t> cache_bytes;         ///< for blocks; none: half of what is left
   bool direct_reads = false;                      ///< past the system's cache of files
   ExecutionOrder order = ExecutionOrder::sorted;  ///< immediate: hit by hit

@@ -6,6 +6,7 @@
 #include <optional>
 #include <span>
 
+#include "render/cast_shadows.h"
 #include "render/deferred_shading.h"
 #include "render/frame_layers.h"
 #include "render/frame_renderer.h"
@@ -34,7 +35,8 @@ struct PixelBlock {
   std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
   std::vector<GroundSample> ground;  ///< where a ground is asked for
   std::vector<double> alpha;         ///< of each target, where a matte is asked for; else each is 1
-  std::uint64_t shadow_rays = 0, model_values = 0, ground_rays = 0;
+  std::uint64_t shadow_rays = 0, model_values = 0, ground_rays = 0, shadows_not_told = 0;
+  FrameSupport support;
   std::array<double, kGatherStages.size()> seconds{};  ///< of each of them
 
   std::size_t bytes() const {
@@ -72,11 +74,12 @@ struct FrameRenderer::State {
   std::vector<std::uint32_t> list_of_view;
   std::optional<ViewSelection> selection;
   std::optional<LevelChoice> levels;
+  std::optional<CaptureSupport> support;  ///< where layers or the summary ask for it
   std::size_t working_bytes = 0;  ///< for blocks, operations and weights together
   std::optional<BlockCache> cache;
   std::optional<DeferredShading> shading;
   SharedStandIns stand_ins;
-  std::optional<DeformedModel> rest;  ///< what casts captured shadows, once guided interpolation asks for them
+  std::optional<DeformedModel> rest;  ///< what casts the rest pose's shadows, once they are asked for
   SharedLightVectors shared;
   std::map<std::string, double> seconds;  ///< by stage, over all frames
 };
@@ -96,6 +99,7 @@ struct FramePlan {
   ScreenCover cover;
   FrameLighting lighting;
   std::optional<GuidedLighting> guided;  ///< none where nothing guides
+  std::optional<CastShadows> cast;       ///< plain interpolation with shadows by rays
   std::optional<GroundShading> ground;   ///< none where none is asked for
   std::vector<std::uint8_t> allowed;     ///< of each view: whether it can show the frame's lights
 };

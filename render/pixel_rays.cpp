@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <numeric>
 
 namespace srf {
 
@@ -13,10 +15,12 @@ std::vector<Vec2> samplePattern(int samples) {
       for (int x = 0; x < side; ++x) pattern.push_back({(x + 0.5) / side, (y + 0.5) / side});
     return pattern;
   }
-  constexpr double kPlastic = 1.32471795724474602596;  // root of x^3 = x + 1
-  const auto wrap = [](double x) { return x - std::floor(x); };
+  // A lattice: each coordinate takes every (k + 0.5) / samples once, so that the pixel's middle is the samples' mean. A
+  // sequence that only grows even with its length would shift a picture of two samples by a quarter of a pixel.
+  int step = std::max(1, static_cast<int>(std::lround(samples / 1.6180339887498949)));
+  while (std::gcd(step, samples) != 1) ++step;
   for (int i = 0; i < samples; ++i)
-    pattern.push_back({wrap(0.5 + i / kPlastic), wrap(0.5 + i / (kPlastic * kPlastic))});
+    pattern.push_back({(i * static_cast<std::int64_t>(step) % samples + 0.5) / samples, (i + 0.5) / samples});
   return pattern;
 }
 

@@ -14,7 +14,7 @@ namespace srf {
 
 inline constexpr int kPixelBlock = 16;  ///< pixels along the side of the blocks that a frame is gathered in
 
-/// Where the samples of a pixel lie in it: a regular grid for square numbers, else the R2 sequence (Roberts 2018).
+/// Where the samples of a pixel lie in it, about its middle: a regular grid for square numbers, else a rank-1 lattice.
 std::vector<Vec2> samplePattern(int samples);
 
 /// Rays through pixels, those of a pixel one after the other.

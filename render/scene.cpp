@@ -131,12 +131,12 @@ Accuracy readAccuracy(const JsonNode& node) {
 void readEffects(const JsonNode& node, Scene& scene) {
   node.onlyKeys({"shadows", "matte", "ground", "motion_blur", "depth_of_field"});
   if (const auto shadows = node.find("shadows")) {
-    constexpr Shadows kShadows[] = {Shadows::captured, Shadows::deformed, Shadows::off};
-    scene.shadows = kShadows[shadows->choice({"captured", "deformed", "off"})];
-    if (scene.interpolation == Interpolation::plain && scene.shadows != Shadows::captured)
+    constexpr Shadows kShadows[] = {Shadows::captured, Shadows::deformed, Shadows::both, Shadows::off};
+    scene.shadows = kShadows[shadows->choice({"captured", "deformed", "both", "off"})];
+    if (scene.interpolation == Interpolation::guided && scene.shadows == Shadows::both)
       throw shadows->error(
-          "asks for shadows by rays, which plain interpolation does not have: it shows the photographs' own "
-          "(\"captured\"); use \"interpolation\": \"guided\"");
+          "found \"both\", which is for plain interpolation: guided interpolation tells the rest pose's shadows apart; "
+          "use \"deformed\"");
   }
   Effects& effects = scene.effects;
   if (const auto matte = node.find("matte")) effects.matte = matte->boolean();

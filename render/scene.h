@@ -52,7 +52,8 @@ enum class Interpolation {
 enum class Shadows {
   automatic,  ///< guided: deformed where there is a deformation, else captured; plain: captured
   captured,   ///< the rest pose's, as the photographs hold them
-  deformed,   ///< rays in the deformed model
+  deformed,   ///< rays in the deformed model, instead of the rest pose's where that can be told
+  both,       ///< plain alone: the photographs' own, and rays in the deformed model
   off
 };
 

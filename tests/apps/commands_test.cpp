@@ -648,6 +648,100 @@ TEST(Study, KeepsItsPromisesAndGoesOnWhereItEnded) {
       {"study.json"});
 }
 
+TEST(Study, OfAMovedMeshBeginsAnewWhenTheMeshMoves) {
+  test::TemporaryFolder folder;
+  const fs::path field = folder / "x.srf", file = folder / "scene.json", walk = folder / "walk.0000.ply";
+  fs::copy(sample().field, field, fs::copy_options::recursive);
+  ASSERT_EQ(run({"model", field, "--shape", sample().capture / "model.ply"}).code, 0);
+  fs::copy_file(sample().capture / "model.ply", walk);
+  Json scene = sample().sceneJson();
+  scene["srf"] = field.string();
+  scene["frames"] = "0";
+  scene["camera"]["w"] = 192, scene["camera"]["h"] = 192;
+  scene["deformation"] = {{{"type", "sequence"}, {"file", (folder / "walk.####.ply").string()}}};
+  writeJsonFile(file, scene);
+  const Words command{"study", file, "-o", folder / "study", "--budget", "1s", "--frames", "1"};
+  ASSERT_EQ(run(command).code, 0);
+  EXPECT_EQ(run(command).err.find("begins anew"), std::string::npos);
+  // No exact frame of that size fits into so little time: its pictures are smaller, its times those of full size.
+  const Json study = readJsonFile(folder / "study" / "study.json").raw();
+  EXPECT_EQ(study["picture_divisor"], 2);
+  EXPECT_EQ(readImage(folder / "study" / "frames" / "exact.0000.exr").pixels.width(), 96);
+  for (const Json& setting : study["settings"])
+    for (const auto& [key, value] : setting["set"].items()) EXPECT_FALSE(key.starts_with("/camera")) << key;
+  AcquisitionMesh mesh = readMesh(walk);
+  for (auto& p : mesh.positions) p = Point<AcquisitionSpace>(1.1 * p.raw());
+  writePly(walk, mesh);
+  EXPECT_NE(run(command).err.find("begins anew"), std::string::npos);
+}
+
+TEST(Study, CaptureIsForetoldFromWhatIsLeft) {
+  test::TemporaryFolder folder;
+  const fs::path out = folder / "out";
+  const Outcome outcome = run({"study", "--capture", sample().field, "-o", out, "--pictures", "4"});
+  ASSERT_EQ(outcome.code, 0) << outcome.err;
+  EXPECT_NE(outcome.out.find("extrapolated"), std::string::npos) << outcome.out;
+  const Json study = readJsonFile(out / "capture.json").raw();
+  EXPECT_EQ(study["views_left_out"], 2);
+  EXPECT_EQ(study["lights_left_out"], 2);
+  // All, half and a quarter of the views, half of the lights; what is not thinned is asked where it matters.
+  std::map<std::string, double> error;
+  std::size_t pictures = 0;
+  for (const Json& c : study["cases"]) {
+    const std::string left_out = c["left_out"];
+    error[left_out + " " + std::to_string(c["views"].get<int>()) + " " + std::to_string(c["lights"].get<int>())] =
+        c["relative_error"];
+    EXPECT_EQ(c["interpolation"], "plain");  // 8 lights less 2 are too few for a fit
+    EXPECT_LE(c["pictures"].size(), 4u);
+    pictures += c["pictures"].size();
+    for (const Json& p : c["pictures"]) EXPECT_GT(p["psnr_db"].get<double>(), 5);
+  }
+  EXPECT_EQ(error.size(), 9u);
+  EXPECT_EQ(error.count("view 10 3") + error.count("light 5 6"), 0u);
+  EXPECT_LT(error["view 10 6"], error["both 10 6"]);
+  EXPECT_LT(error["view 10 6"], error["view 3 6"]);
+  EXPECT_LT(error["light 10 6"], error["light 10 3"]);
+  // The law passes through two points, and says what it says beyond them.
+  for (const Json& trend : study["trends"]) {
+    const double b = trend["exponent"], now = trend["extrapolated_error"], twice = trend["extrapolated_error_of_twice"];
+    EXPECT_NEAR(twice, now * std::pow(2.0, -b), 1e-9);
+    EXPECT_GE(trend["measured"].size(), 2u);
+  }
+  const std::string page = slurp(out / "capture.html"), table = slurp(out / "capture.csv");
+  EXPECT_NE(page.find("<svg"), std::string::npos);
+  EXPECT_EQ(page.find("http"), std::string::npos);
+  EXPECT_EQ(static_cast<std::size_t>(std::count(table.begin(), table.end(), '\n')), 1 + pictures);
+
+  expectMessage(run({"study", sample().scene, "--capture", sample().field, "-o", out}), 2, {"--capture"});
+  expectMessage(run({"study", "-o", out}), 2, {"--capture"});
+}
+
+TEST(Study, CaptureOfUnknownIlluminationLeavesViewsOutAlone) {
+  test::TemporaryFolder folder;
+  const fs::path capture = folder / "capture", field = folder / "x.srf", out = folder / "out";
+  fs::copy(sample().capture, capture, fs::copy_options::recursive);
+  Json transforms = readJsonFile(capture / "transforms.json").raw();
+  const std::string light = transforms["lights"][0]["name"];
+  transforms.erase("lights");
+  Json frames = Json::array();
+  for (Json frame : transforms["frames"]) {
+    if (frame["light"] != light) continue;
+    frame.erase("light");
+    frames.push_back(frame);
+  }
+  transforms["frames"] = frames;
+  writeJsonFile(capture / "transforms.json", transforms);
+  ASSERT_EQ(run({"acquire", capture, "-o", field}).code, 0);
+  ASSERT_EQ(run({"model", field}).code, 0);
+  const Outcome outcome = run({"study", "--capture", field, "-o", out});
+  ASSERT_EQ(outcome.code, 0) << outcome.err;
+  EXPECT_NE(outcome.out.find("views alone"), std::string::npos) << outcome.out;
+  const Json study = readJsonFile(out / "capture.json").raw();
+  EXPECT_EQ(study["lights_left_out"], 0);
+  ASSERT_GT(study["cases"].size(), 0u);
+  for (const Json& c : study["cases"]) EXPECT_EQ(c["left_out"], "view");
+}
+
 // ---- Effects -------------------------------------------------------------------------------------------------------
 
 // Each effect against the exact reference with the same effect on, which renders it by other means.
@@ -681,6 +775,52 @@ TEST(Effects, ComeOutAsInTheExactReference) {
   EXPECT_GT(psnr({{"motion_blur", {{"shutter", 2}, {"samples", 12}}}}, "motion blur"), 35);
   EXPECT_GT(psnr({{"depth_of_field", {{"aperture", 0.3}, {"focus", 3.4}}}}, "depth of field"), 35);
   EXPECT_GT(psnr({{"ground", {{"height", -1}}}}, "ground"), 35);
+}
+
+// A ball over a plate that is bent towards it: its shadow leaves the place where it was photographed. Rays in the
+// deformed model and the rest pose's shadows divided out, against the exact reference; without either it is far off.
+TEST(Effects, ShadowsByRaysComeOutAsInTheExactReference) {
+  test::TemporaryFolder folder;
+  const fs::path capture = folder / "capture", field = folder / "x.srf", file = folder / "scene.json";
+  ASSERT_EQ(run({"synth", "-o", capture, "--object", "ball_on_plate", "--material", "lambert", "--views", "24",
+                 "--lights", "100", "--size", "72"})
+                .code,
+            0);
+  ASSERT_EQ(run({"acquire", capture, "-o", field}).code, 0);
+  ASSERT_EQ(run({"model", field, "--shape", capture / "model.ply"}).code, 0);
+  Json scene = sample().sceneJson();
+  scene["srf"] = field.string();
+  scene["frames"] = "0";
+  scene["camera"]["w"] = 72, scene["camera"]["h"] = 54;
+  scene["camera"]["look_at"]["eye"] = {0, -3.2, 2.6};
+  scene["deformation"] = {{{"type", "bend"}, {"axis", {1, 0, 0}}, {"toward", {0, 0, 1}}, {"degrees_per_unit", 40}}};
+  scene["lights"][0]["direction"] = {-0.7, -0.5, 0.9};
+  const auto with = [&](const char* shadows, const char* interpolation) {
+    scene["effects"] = {{"shadows", shadows}};
+    scene["interpolation"] = interpolation;
+    writeJsonFile(file, scene);
+  };
+  with("deformed", "plain");
+  ASSERT_EQ(
+      run({"synth", "--reference", file, "--capture", capture, "--samples", "64", "-o", folder / "truth.####.exr"})
+          .code,
+      0);
+  const auto psnr = [&](const char* shadows, const char* interpolation) {
+    with(shadows, interpolation);
+    const Outcome ours = run({"render", file, "-o", folder / "ours.####.exr", "--set", "/samples=16"});
+    EXPECT_EQ(ours.code, 0) << ours.err;
+    const Outcome compared = run({"compare", folder / "ours.0000.exr", folder / "truth.0000.exr", "--json"});
+    const double db = Json::parse(compared.out)["full_psnr"].get<double>();
+    std::printf("%-10s %-10s %.1f dB\n", interpolation, shadows, db);
+    return db;
+  };
+  const double captured = psnr("captured", "plain"), both = psnr("both", "plain"), deformed = psnr("deformed", "plain");
+  EXPECT_GT(deformed, 35);
+  EXPECT_GT(both, captured + 3);
+  EXPECT_GT(deformed, both + 2);
+  EXPECT_GT(psnr("deformed", "guided"), 40);
+  with("both", "guided");
+  expectMessage(run({"render", file, "-o", folder / "ours.####.exr"}), 3, {"/effects/shadows", "both", "plain"});
 }
 
 // At a captured view the alpha is that of its mask, half covered pixels and all; without the effect it is the model's.

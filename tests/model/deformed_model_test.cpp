@@ -630,5 +630,22 @@ TEST(Surfels, TheSameInputGivesTheSameSurfels) {
   EXPECT_EQ(a.r0, b.r0);
 }
 
+TEST(SequenceMotion, MomentsBetweenTwoFramesReadEachFileOnce) {
+  test::TemporaryFolder folder;
+  AcquisitionMesh mesh;
+  for (const Vec3& p : {Vec3{0, 0, 0}, Vec3{1, 0, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}}) mesh.positions.emplace_back(p);
+  mesh.triangles = {{0, 2, 1}, {0, 1, 3}, {0, 3, 2}, {1, 2, 3}};
+  const AcquisitionMesh rest = mesh;
+  writePly(folder / "a.0003.ply", mesh);
+  for (auto& p : mesh.positions) p = Point<AcquisitionSpace>(p.raw() + Vec3{0, 0, 1});
+  writePly(folder / "a.0004.ply", mesh);
+  const auto motion = sequenceMotion((folder / "a.####.ply").string(), rest);
+  EXPECT_NEAR(motion->at(3.25).positions[1].raw().z, 0.25, 1e-6);
+  std::filesystem::remove(folder / "a.0003.ply");
+  std::filesystem::remove(folder / "a.0004.ply");
+  for (const double part : {0.0, 0.5, 0.75}) EXPECT_NEAR(motion->at(3 + part).positions[1].raw().z, part, 1e-6);
+  EXPECT_THROW(motion->at(5), Error);
+}
+
 }  // namespace
 }  // namespace srf

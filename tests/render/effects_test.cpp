@@ -3,12 +3,14 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <set>
 
 #include "base/files.h"
 #include "base/image_io.h"
 #include "base/numeric.h"
 #include "render/animation.h"
 #include "render/ground.h"
+#include "render/pixel_rays.h"
 #include "tests/support/formula_field.h"
 #include "tests/support/test_support.h"
 
@@ -152,6 +154,24 @@ class EffectScenes : public testing::Test {
   std::optional<Reporter> reporter_;
 };
 
+// A pattern that lies to one side would move the picture, by other amounts for other numbers of samples.
+TEST(SamplePattern, IsCentredOnThePixelAndEven) {
+  for (int samples = 1; samples <= 64; ++samples) {
+    const std::vector<Vec2> pattern = samplePattern(samples);
+    ASSERT_EQ(pattern.size(), static_cast<std::size_t>(samples));
+    double x = 0, y = 0;
+    std::set<std::pair<double, double>> places;
+    for (const Vec2& at : pattern) {
+      EXPECT_TRUE(at.x > 0 && at.x < 1 && at.y > 0 && at.y < 1) << samples;
+      x += at.x / samples, y += at.y / samples;
+      places.insert({at.x, at.y});
+    }
+    EXPECT_NEAR(x, 0.5, 1e-12) << samples;
+    EXPECT_NEAR(y, 0.5, 1e-12) << samples;
+    EXPECT_EQ(places.size(), pattern.size()) << samples;
+  }
+}
+
 TEST_F(EffectScenes, BlurIsTheMeanOfItsMoments) {
   const ImageF blurred = render({R"(/effects={"motion_blur": {"shutter": 2, "samples": 2}})"});
   const ImageF before = render({"/frames=3"}), at = render({"/frames=4"});
@@ -176,6 +196,53 @@ TEST_F(EffectScenes, WhatIsNotAskedForIsNotDone) {
   const ImageF off = render({R"(/effects={"ground": {"height": 9}, "depth_of_field": {"aperture": 0, "focus": 4},
                                           "motion_blur": {"shutter": 0}})"});
   EXPECT_EQ(plain.data(), off.data());
+}
+
+// What stands in the plan for an effect alone is counted by it alone, and the rest of the frame does the same work.
+TEST_F(EffectScenes, AKeyAddsItsOwnWorkAndNoOther) {
+  const std::set<std::string> of_effects{"ground.samples", "ground.shadow_rays", "shadow_rays",
+                                         "model_values",   "shadows.not_told",   "support"};
+  render();
+  const auto bare = reporter_->counters();
+  for (const auto& [name, value] : bare) EXPECT_FALSE(of_effects.contains(name)) << name;
+  EXPECT_FALSE(reporter_->figures().contains("support.supported"));
+  EXPECT_FALSE(reporter_->figures().contains("seconds.ground"));
+  EXPECT_FALSE(reporter_->figures().contains("seconds.shadows"));
+  struct Added {
+    const char* key;
+    std::set<std::string> counters;
+  };
+  for (const Added& added :
+       {Added{R"(/effects={"ground": {"height": -1.2}})", {"ground.samples", "ground.shadow_rays"}},
+        Added{R"(/effects={"shadows": "deformed"})", {"shadow_rays"}},
+        Added{R"(/effects={"shadows": "both"})", {"shadow_rays"}}, Added{R"(/effects={"matte": true})", {}}}) {
+    render({added.key});
+    std::set<std::string> more;
+    for (const auto& [name, value] : reporter_->counters()) {
+      if (!bare.contains(name)) {
+        more.insert(name);
+      } else if (name != "operations" && name != "light_vectors") {  // weights of their own are not shared
+        EXPECT_EQ(value, bare.at(name)) << added.key << " " << name;
+      }
+    }
+    EXPECT_EQ(more, added.counters) << added.key;
+  }
+}
+
+// A convex object casts no shadow on itself: rays change nothing, whether they divide the rest pose's out or not.
+TEST_F(EffectScenes, ShadowsOfAConvexObjectAreThoseOfThePhotographs) {
+  const ImageF captured = render({"/accuracy/light_sharing=0"});
+  for (const char* shadows : {"deformed", "both", "off"}) {
+    const ImageF by_rays =
+        render({"/accuracy/light_sharing=0", std::string(R"(/effects={"shadows": ")") + shadows + "\"}"});
+    double most = 0, brightest = 0;
+    for (std::size_t i = 0; i < captured.data().size(); ++i) {
+      most = std::max(most, std::fabs(double{by_rays.data()[i]} - captured.data()[i]));
+      brightest = std::max(brightest, double{captured.data()[i]});
+    }
+    EXPECT_GT(brightest, 0.1);
+    EXPECT_LT(most, 2e-3 * brightest) << shadows;  // halves
+  }
 }
 
 TEST_F(EffectScenes, AGroundHidesWhatLiesBelowItAndLeavesTheRestAlone) {

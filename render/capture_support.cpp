@@ -1,0 +1,123 @@
+#include "render/capture_support.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "base/color.h"
+#include "base/numeric.h"
+#include "model/local_frame.h"
+
+namespace srf {
+namespace {
+
+constexpr double kMostStretch = 2;
+
+/// The median angle from a direction to the nearest other one, radians; 0 for one alone.
+double spacingOf(const std::vector<Vec3>& directions) {
+  if (directions.size() < 2) return 0;
+  std::vector<double> nearest;
+  for (std::size_t i = 0; i < directions.size(); ++i) {
+    double least = kPi;
+    for (std::size_t j = 0; j < directions.size(); ++j)
+      if (j != i) least = std::min(least, angleBetweenUnit(directions[i], directions[j]));
+    nearest.push_back(least);
+  }
+  return median(nearest);
+}
+
+}  // namespace
+
+void FrameSupport::add(const HitSupport& hit) {
+  ++hits;
+  supported += hit.supported();
+  view_far += hit.view_far;
+  light_far += hit.light_far;
+  occluded += hit.occluded;
+  stretched += hit.stretched;
+}
+
+void FrameSupport::add(const FrameSupport& other) {
+  hits += other.hits;
+  supported += other.supported;
+  view_far += other.view_far;
+  light_far += other.light_far;
+  occluded += other.occluded;
+  stretched += other.stretched;
+}
+
+std::string FrameSupport::text() const {
+  char line[320];
+  std::snprintf(
+      line, sizeof line,
+      "%.0f %% of the picture is supported by the capture; further than one spacing from a view %.0f %%, from "
+      "a light %.0f %%; seen by no view %.0f %%; stretched beyond 2 %.0f %%",
+      100 * share(supported), 100 * share(view_far), 100 * share(light_far), 100 * share(occluded),
+      100 * share(stretched));
+  return line;
+}
+
+bool CaptureSupport::wanted(const std::set<std::string>& layers) {
+  return layers.contains("light_angle") || layers.contains("extrapolation") || layers.contains("occlusion");
+}
+
+CaptureSupport::CaptureSupport(std::span<const SourceView> views, std::span<const AcquiredLights> lists,
+                               std::span<const std::uint32_t> list_of_view, const Box<AcquisitionSpace>& object)
+    : lists_(lists), list_of_view_(list_of_view) {
+  const Point<AcquisitionSpace> middle = object.empty() ? Point<AcquisitionSpace>() : object.center();
+  std::vector<Vec3> directions;
+  for (const SourceView& view : views)
+    if (view.coverage) directions.push_back(view.camera.viewDirection(middle).raw());
+  view_spacing_ = spacingOf(directions);
+  for (const AcquiredLights& list : lists) {
+    directions.clear();
+    for (const std::uint32_t i : list.usable()) directions.push_back(list.directionOf(i, middle).raw());
+    light_spacing_.push_back(spacingOf(directions));
+  }
+}
+
+HitSupport CaptureSupport::at(const SurfaceHit& hit, const LookUp& look_up, std::span<const ChosenView> chosen,
+                              ViewSelection::Result result, const FrameLighting& lighting) const {
+  constexpr double kRounding = 1e-6;  // radians; a spacing of 0 still has its own direction
+  HitSupport support;
+  support.occluded = result != ViewSelection::Result::seen;
+  const TangentChange change = tangentChange(hit.tangents);
+  support.stretched = !(change.longest <= kMostStretch && change.shortest >= 1 / kMostStretch);
+  const ChosenView* most = nullptr;  // whose lights count
+  double nearest = kPi;
+  for (const ChosenView& view : chosen) {
+    nearest = std::min(nearest, view.angle);
+    if (!most || view.weight > most->weight) most = &view;
+  }
+  support.view_far = nearest > view_spacing_ + kRounding;
+  if (!most) return support;
+
+  const std::uint32_t index = list_of_view_[most->view];
+  const AcquiredLights& list = lists_[index];
+  double all = 0, far = 0, angles = 0;
+  const auto add = [&](const Direction<ObjectSpace>& to_light, const Vec3& irradiance) {
+    const Direction<AcquisitionSpace> l = look_up.acquisition_from_object * to_light;
+    const double given = std::max(0.0, dot(look_up.normal.raw(), l.raw())) * dot(kLuminance, irradiance);
+    if (!(given > 0)) return;
+    const double angle = list.angleToNearest(l, look_up.p);
+    all += given;
+    angles += given * angle;
+    if (angle > light_spacing_[index] + kRounding) far += given;
+  };
+  for (const DistantLight& light : lighting.lights().distant) add(light.direction, light.irradiance);
+  for (const NearLight& light : lighting.lights().near_lights) {
+    const Vector<ObjectSpace> to_light = light.position - hit.p_star;
+    const double d = std::max(length(to_light), lighting.options().min_distance);
+    if (const auto direction = normalize(to_light)) add(*direction, light.intensity / (d * d));
+  }
+  for (const RestLight& light : lighting.lights().rest) {  // one of the acquired themselves
+    const auto at = list.find(light.light);
+    if (!at) continue;
+    const Vec3 inverse = list.inverseIrradiance(*at, look_up.p);
+    all += light.scale * (inverse.y > 0 ? 1 / inverse.y : 1);
+  }
+  if (all > 0) support.light_far = far / all, support.light_angle = degrees(angles / all);
+  return support;
+}
+
+}  // namespace srf

@@ -1,0 +1,105 @@
+// Each shortcut against the general way of the same picture (M17): equal to 1e-5 of the brightest pixel.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "render/frame_renderer.h"
+#include "tests/support/formula_field.h"
+#include "tests/support/test_support.h"
+
+namespace srf {
+namespace {
+
+class ShortcutsTest : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = std::make_unique<test::TemporaryFolder>();
+    field_ = std::make_unique<test::FormulaField>(
+        test::makeSphereField(*folder_ / "x.srf", {.views = 16, .lights = 48, .size = 48, .subdivision = 4},
+                              [](const Vec3& p, const Vec3& l, const Vec3& v) {
+                                return std::max(0.0, dot(p, l)) * (Vec3{0.3, 0.2, 0.1} + 0.1 * (p + v));
+                              }));
+  }
+  static void TearDownTestSuite() {
+    field_.reset();
+    folder_.reset();
+  }
+  static FrameLights lights(int distant) {
+    FrameLights lights;
+    for (int i = 0; i < distant; ++i)
+      lights.distant.push_back({Direction<ObjectSpace>::fromUnit(test::fibonacci(i, distant)), {1, 0.9, 0.8}});
+    return lights;
+  }
+  static Deformation psi(const char* list) {
+    return AnimatedDeformation::parse(parseJson(list, "test"), ".", Reporter::silent()).at(0);
+  }
+  static std::vector<float> render(const DeformedModel& deformed, const FrameLights& lights, bool shortcuts,
+                                   std::uint64_t* vectors = nullptr) {
+    FrameSettings settings;
+    settings.shortcuts = shortcuts;
+    Reporter reporter(ProgressMode::none, LogLevel::error);
+    FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings, reporter);
+    Camera<ObjectSpace> camera;
+    camera.lens = pinholeFromFov(40, 40, 36);
+    camera.pose = *lookAt(Point<ObjectSpace>(0.5, -5, 1), Point<ObjectSpace>(), Vector<ObjectSpace>(0, 0, 1));
+    const Frame frame = renderer.render(camera, deformed, lights);
+    if (vectors) *vectors = reporter.counters()["light_vectors"];
+    const auto data = frame.rgba.data();
+    return {data.begin(), data.end()};
+  }
+  static double difference(const std::vector<float>& a, const std::vector<float>& b) {
+    double most = 0, brightest = 0;
+    for (std::size_t i = 0; i < a.size(); ++i) {
+      most = std::max(most, std::fabs(double{a[i]} - b[i]));
+      if (i % 4 < 3) brightest = std::max(brightest, double{a[i]});
+    }
+    EXPECT_GT(brightest, 0.1);
+    return most / brightest;
+  }
+
+  static std::unique_ptr<test::TemporaryFolder> folder_;
+  static std::unique_ptr<test::FormulaField> field_;
+};
+std::unique_ptr<test::TemporaryFolder> ShortcutsTest::folder_;
+std::unique_ptr<test::FormulaField> ShortcutsTest::field_;
+
+TEST_F(ShortcutsTest, OneVectorForARigidFrame) {
+  for (const char* list : {"[]", R"([{"type": "affine", "matrix": [[0,-1,0,0.1],[1,0,0,0],[0,0,1,0],[0,0,0,1]]}])"}) {
+    DeformedModel deformed(field_->model);
+    deformed.deform(psi(list));
+    const auto shortcut = render(deformed, lights(40), true), general = render(deformed, lights(40), false);
+    EXPECT_NE(shortcut, general) << "the general way is not taken";
+    EXPECT_LT(difference(shortcut, general), 1e-5) << list;
+  }
+}
+
+TEST_F(ShortcutsTest, AModelAtRestIsTheOneDeformedByNothing) {
+  DeformedModel rest(field_->model), deformed(field_->model);
+  deformed.deform(psi(R"([{"type": "twist", "axis": [0,0,1], "degrees_per_unit": 0}])"));
+  EXPECT_LT(difference(render(rest, lights(3), true), render(deformed, lights(3), true)), 1e-5);
+}
+
+// A few lights are entries at each hit, many a vector: one light in forty parts is one light.
+TEST_F(ShortcutsTest, OneLightIsThatLightInManyParts) {
+  DeformedModel deformed(field_->model);
+  deformed.deform(psi(R"([{"type": "twist", "axis": [0,0,1], "degrees_per_unit": 40}])"));
+  FrameLights one, many;
+  const auto direction = Direction<ObjectSpace>::fromUnit(Vec3{0, -0.6, 0.8});
+  one.distant = {{direction, {1, 0.9, 0.8}}};
+  for (int i = 0; i < 40; ++i) many.distant.push_back({direction, Vec3{1, 0.9, 0.8} / 40});
+  EXPECT_LT(difference(render(deformed, one, true), render(deformed, many, false)), 1e-5);
+}
+
+// No environment: what an environment of one black sample adds is nothing.
+TEST_F(ShortcutsTest, NoEnvironmentIsABlackOne) {
+  DeformedModel deformed(field_->model);
+  deformed.deform(psi(R"([{"type": "twist", "axis": [0,0,1], "degrees_per_unit": 40}])"));
+  FrameLights with_black = lights(1);
+  for (int i = 0; i < 30; ++i)
+    with_black.distant.push_back({Direction<ObjectSpace>::fromUnit(test::fibonacci(i, 30)), {0, 0, 0}});
+  EXPECT_LT(difference(render(deformed, lights(1), true), render(deformed, with_black, false)), 1e-5);
+}
+
+}  // namespace
+}  // namespace srf
