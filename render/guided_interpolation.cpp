@@ -140,8 +140,9 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
       normalize(Vector<AcquisitionSpace>(t - dot(n.raw(), t) * n.raw())).value_or(anyPerpendicular(n));
   to.normal = floats(n.raw());
   to.tangent = floats(tangent.raw());
-  const Mat3 object_from_acquisition = query.look_up->acquisition_from_object.raw().transposed();
-  hit.in_object = modelAtView(to, floats(query.view.raw()), &object_from_acquisition);
+  hit.model = modelOfPoint(to);
+  hit.model_view = addView(hit.model, to, floats(query.view.raw()), 1);
+  turn(hit.model, hit.model_view, query.look_up->acquisition_from_object.raw().transposed());
 }
 
 void GuidedLighting::prepare(std::span<const GuidedQuery> queries, GuidedBlock& block) const {
@@ -187,14 +188,14 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
                 : hit.query.hit->p_star + offset_ * (look_up.acquisition_from_object.inverse() * look_up.normal);
     const auto hit_index = static_cast<std::uint32_t>(h);
     if (distant_count > 0) {
-      facingEnergy(hit.in_object.n, lanesOf(direction_), energy_.data(), distant_count, block.keys.data());
+      facingEnergy(hit.model.n, lanesOf(direction_), energy_.data(), distant_count, block.keys.data());
       const std::size_t count = largestKeys(block.keys.data(), distant_count,
                                             static_cast<std::size_t>(options_.shadow_rays), block.positions.data());
       for (std::size_t i = 0; i < count; ++i) wanted.emplace_back(block.positions[i], hit_index);
     }
     for (std::size_t k = 0; k < near_count; ++k) {
       const DirectionLanes l = lanesOf(block.near_direction, h * near_lanes_ + k);
-      if (dot3(hit.in_object.n, *l.x, *l.y, *l.z) > 0)
+      if (dot3(hit.model.n, *l.x, *l.y, *l.z) > 0)
         wanted.emplace_back(static_cast<std::uint32_t>(distant_lanes_ + k), hit_index);
     }
   }
@@ -363,21 +364,23 @@ std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_
   // What reaches the surface of each light, and of what lies about each captured one. What no ray was sent to is as
   // the captured light about it, where that can tell; where photographs overrule the rays, these count as far less.
   for (std::vector<float>* of : {&block.unasked, &block.asked, &block.offset}) of->resize(pad);
+  float correct = 0;
   for (std::size_t i = 0; i < pad; ++i) {
     const float lit = block.lit[i], disagree = off ? 0 : block.disagree[i];
+    correct = std::max(correct, disagree);
     const float unasked = block.facing[i] > 0 ? lit : 1;
     block.unasked[i] = unasked + disagree * (lit - unasked);
     block.asked[i] = 1 - disagree;
     block.offset[i] = disagree * lit;
   }
-  const bool correct = corrected_ && !off;
   block.positions.resize(distant_lanes_);
   block.shown_energy.resize(distant_lanes_);
   std::size_t count = 0;
-  std::array<float, 3> sum = distantSums(
-      hit.in_object, {lanesOf(direction_), energy_.data(), channels(irradiance_)}, block.sight.data() + index * row(),
-      nearest->nearest.data(), {block.unasked.data(), correct ? block.asked.data() : nullptr, block.offset.data()},
-      distant_lanes_, block.positions.data(), block.shown_energy.data(), count);
+  std::array<float, 3> sum =
+      distantSums(hit.model, hit.model_view, {lanesOf(direction_), energy_.data(), channels(irradiance_)},
+                  block.sight.data() + index * row(), nearest->nearest.data(),
+                  {block.unasked.data(), correct > 0 ? block.asked.data() : nullptr, block.offset.data()},
+                  distant_lanes_, block.positions.data(), block.shown_energy.data(), count);
   block.model_values += count;
   for (float& channel : sum) channel *= gate;
   if (options_.model_alone) return sum;
@@ -389,8 +392,6 @@ std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_
     block.shown[about] += block.shown_energy[k];
     block.all[about] += energy_[k];
   }
-  double reaching = 0;
-  for (std::size_t i = 0; i < pad; ++i) reaching += block.shown[i];
 
   // The residual as it is, and the lit one: of each captured light as much as of the light about it is shown; together
   // what reaches the surface.
@@ -402,7 +403,6 @@ std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_
                               hit.indirect,
                               hit.indirect_shadow,
                               !off,
-                              static_cast<float>(reaching),
                               block.shown.data(),
                               block.all.data(),
                               block.lit.data(),
@@ -440,12 +440,12 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
       const std::array<float, 3> e{irradiance_[0][k], irradiance_[1][k], irradiance_[2][k]};
       const float shown =
           spread(block, hit, list_index, captured, look_up.acquisition_from_object * lights.distant[k].direction,
-                 dot3(hit.in_object.n, direction_[0][k], direction_[1][k], direction_[2][k]),
+                 dot3(hit.model.n, direction_[0][k], direction_[1][k], direction_[2][k]),
                  static_cast<LightSight>(block.sight[index * row() + k]), e);
       for (int c = 0; c < 3; ++c) block.reach[c][k] = shown * e[c];
     }
-    add(list_share,
-        modelSums(hit.in_object, lanesOf(direction_), channels(std::as_const(block.reach)), distant_lanes_));
+    add(list_share, modelSums(hit.model, &hit.model_view, 1, lanesOf(direction_), channels(std::as_const(block.reach)),
+                              distant_lanes_));
     block.model_values += lights.distant.size();
   }
   if (near_count > 0) {
@@ -457,70 +457,71 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
       const Direction<ObjectSpace> direction =
           normalize(to_light).value_or(look_up.acquisition_from_object.inverse() * look_up.normal);
       const float shown = spread(block, hit, list_index, captured, look_up.acquisition_from_object * direction,
-                                 dot3(hit.in_object.n, l.x[k], l.y[k], l.z[k]),
+                                 dot3(hit.model.n, l.x[k], l.y[k], l.z[k]),
                                  static_cast<LightSight>(block.sight[index * row() + distant_lanes_ + k]), e);
       for (int c = 0; c < 3; ++c) block.reach[c][k] = shown * e[c];
     }
-    add(list_share, modelSums(hit.in_object, l, channels(std::as_const(block.reach)), near_lanes_));
+    add(list_share, modelSums(hit.model, &hit.model_view, 1, l, channels(std::as_const(block.reach)), near_lanes_));
     block.model_values += near_count;
   }
 
-  // The photographs are divided by what their light gave; where a light is dark in a channel they hold nothing.
-  for (int c = 0; c < 3; ++c)
-    for (std::size_t i = 0; i < pad; ++i) {
-      block.photograph[c][i] *= captured.inverse[c][i];
-      block.model[c][i] = captured.inverse[c][i] > 0 ? block.model[c][i] : 0;
-    }
   for (const RestLight& rest : lights.rest) {  // a light of the capture itself: only the view differs
     const auto at = list.find(rest.light);
     if (!at) continue;
-    const float lit = gateOf(hit) * static_cast<float>(rest.scale) * block.lit[*at];
-    GuidedBlock::Captured one;
-    one.resize(kGuidedLanes);
-    one.direction = {std::vector(kGuidedLanes, captured.direction.x[*at]),
-                     std::vector(kGuidedLanes, captured.direction.y[*at]),
-                     std::vector(kGuidedLanes, captured.direction.z[*at])};
+    std::array<std::vector<float>, 3> l, e;
+    const std::array<float, 3> direction{captured.direction.x[*at], captured.direction.y[*at],
+                                         captured.direction.z[*at]};
     for (int c = 0; c < 3; ++c) {
-      one.irradiance[c][0] = lit * captured.irradiance[c][*at];
-      if (options_.model_alone) continue;
-      block.photograph[c][*at] += static_cast<float>(rest.scale);
-      block.model[c][*at] += one.irradiance[c][0];
+      l[c].assign(kGuidedLanes, direction[c]);
+      e[c].assign(kGuidedLanes, 0);
+      e[c][0] = gateOf(hit) * static_cast<float>(rest.scale) * block.lit[*at] * captured.irradiance[c][*at];
+      if (!options_.model_alone) block.model[c][*at] += e[c][0];
     }
-    const ModelAtView model = modelAtView(hit.reflectance, floats(hit.query.view.raw()), nullptr);
-    add(list_share, modelSums(model, lanesOf(one.direction), channels(std::as_const(one.irradiance)), kGuidedLanes));
+    ModelOfPoint model = modelOfPoint(hit.reflectance);
+    const ModelView view = addView(model, hit.reflectance, floats(hit.query.view.raw()), 1);
+    add(list_share, modelSums(model, &view, 1, lanesOf(l), channels(std::as_const(e)), kGuidedLanes));
     block.model_values += 1;
   }
 
+  // The photographs are divided by what their light gave; where a light is dark in a channel they hold nothing.
   // Only the captured lights that count are evaluated for the views.
-  for (int c = 0; c < 3; ++c) {
-    block.used_direction[c].resize(pad + kGuidedLanes);
-    block.used_amount[c].resize(pad + kGuidedLanes);
-  }
-  const auto use = channels<float>(block.used_direction), of_it = channels<float>(block.used_amount);
-  std::size_t used = 0;
-  for (std::size_t i = 0; i < pad; ++i) {
-    use[0][used] = captured.direction.x[i], use[1][used] = captured.direction.y[i];
-    use[2][used] = captured.direction.z[i];
-    for (int c = 0; c < 3; ++c) of_it[c][used] = block.model[c][i];
-    used += block.model[0][i] != 0 || block.model[1][i] != 0 || block.model[2][i] != 0;
-  }
-  // What lies beyond, up to the kernel's width, has amount 0.
-  for (std::size_t i = used; i < guidedLanes(used); ++i) {
-    use[0][i] = use[1][i] = 0, use[2][i] = 1;
-    for (int c = 0; c < 3; ++c) of_it[c][i] = 0;
-  }
-  for (const ChosenView& chosen : hit.query.chosen) {
-    if (list_of_view_[chosen.view] != list_index || used == 0) continue;
-    const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(look_up.p).raw());
-    add(-chosen.weight, modelSums(modelAtView(hit.reflectance, view, nullptr), lanesOf(block.used_direction),
-                                  channels(std::as_const(block.used_amount)), guidedLanes(used)));
-    block.model_values += used;
-  }
   LightWeights weights;
   weights.first_entry = static_cast<std::uint32_t>(out.entries.size());
-  for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(list.count()); ++i) {
-    const Rgb photograph{block.photograph[0][i], block.photograph[1][i], block.photograph[2][i]};
-    if (photograph != Rgb{}) out.entries.push_back({i, photograph});
+  weights.own = static_cast<std::uint32_t>(out.own.size());
+  out.own.resize(out.own.size() + 3 * pad);
+  float* const own = out.own.data() + weights.own;
+  for (int c = 0; c < 3; ++c) {
+    block.used_direction[c].resize(pad);
+    block.used_amount[c].resize(pad);
+  }
+  std::size_t photographs = 0;
+  const std::size_t used =
+      usedLights(captured, pad, channels(std::as_const(block.photograph)), channels(std::as_const(block.model)),
+                 {own, own + pad, own + 2 * pad},
+                 {channels<float>(block.used_direction), channels<float>(block.used_amount)}, photographs);
+  if (!options_.model_alone)
+    for (const RestLight& rest : lights.rest)
+      if (const auto at = list.find(rest.light))
+        for (int c = 0; c < 3; ++c) own[c * pad + *at] += static_cast<float>(rest.scale);
+  if (used > 0) {
+    ModelOfPoint model = modelOfPoint(hit.reflectance);
+    block.model_views.clear();
+    for (const ChosenView& chosen : hit.query.chosen) {
+      if (list_of_view_[chosen.view] != list_index) continue;
+      const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(look_up.p).raw());
+      block.model_views.push_back(addView(model, hit.reflectance, view, static_cast<float>(chosen.weight)));
+    }
+    add(-1, modelSums(model, block.model_views.data(), block.model_views.size(), lanesOf(block.used_direction),
+                      channels(std::as_const(block.used_amount)), guidedLanes(used)));
+    block.model_values += used * block.model_views.size();
+  }
+  if (photographs + lights.rest.size() <= LightGather::fewEntries(list.count())) {
+    for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(list.count()); ++i) {
+      const Rgb photograph{own[i], own[pad + i], own[2 * pad + i]};
+      if (photograph != Rgb{}) out.entries.push_back({i, photograph});
+    }
+    out.own.resize(weights.own);
+    weights.own = LightWeights::kNone;
   }
   return out.append(weights, list.count());
 }

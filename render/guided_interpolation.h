@@ -41,7 +41,8 @@ struct GuidedBlock {
   struct Hit {
     GuidedQuery query;
     PointReflectance reflectance;
-    ModelAtView in_object;  ///< the model for v, object space
+    ModelOfPoint model;  ///< seen along v, object space
+    ModelView model_view;
     float gate = 0, indirect = 0, indirect_shadow = 0;
     /// FittedPoint::indirect for a light of which so much reaches the point.
     float indirectUnder(float visible) const { return indirect_shadow + visible * (indirect - indirect_shadow); }
@@ -71,6 +72,7 @@ struct GuidedBlock {
   std::vector<float> unasked, asked, offset;                      ///< CapturedShadow
   std::vector<float> shared, shown, all, keys, shown_energy;
   std::vector<std::uint32_t> positions;
+  std::vector<ModelView> model_views;
   std::array<SharedKey, 4> last_key;  ///< the corners that the hit before asked for
   std::array<const SharedStandIns::Corner*, 4> last_corner{};
   std::vector<Penalised> order;

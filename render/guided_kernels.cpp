@@ -52,36 +52,44 @@ V dot3(const std::array<float, 3>& a, V x, V y, V z) {
   return hn::MulAdd(hn::Set(f, a[0]), x, hn::MulAdd(hn::Set(f, a[1]), y, hn::Mul(hn::Set(f, a[2]), z)));
 }
 
-/// Adds amount[c] M_c to sum[c] for lights at cosine > 0 or amount 0; as modelTerms has it, with one division:
+/// value[c] = sum over views of share M_c for lights at `cosine`; as modelTerms has it, with one division:
 /// D G1(l) G1(v) n.l / (4 n.l n.v) = lobe n.l |h|^4 / ((n.l + s_l) (..)^2).
-HWY_INLINE void addValues(const ModelAtView& m, V x, V y, V z, V cosine, V r, V g, V b, V& red, V& green, V& blue) {
+template <class Value>
+HWY_INLINE void values(const ModelOfPoint& m, const ModelView* views, std::size_t view_count, V x, V y, V z, V cosine,
+                       const Value& value) {
   const F f;
   const V one = hn::Set(f, 1.f), zero = hn::Zero(f);
   const V nl = hn::Max(cosine, zero);
-  const V tl = dot3(m.t, x, y, z), bl = dot3(m.b, x, y, z), vl = dot3(m.v, x, y, z);
-  const V half2 = hn::Max(hn::MulAdd(hn::Set(f, 2.f), vl, hn::Set(f, 2.f)), hn::Set(f, 1e-6f));
-  const V nh = hn::Add(nl, hn::Set(f, m.nv)), th = hn::Add(tl, hn::Set(f, m.tv)), bh = hn::Add(bl, hn::Set(f, m.bv));
-  const V slope = hn::MulAdd(hn::Mul(th, th), hn::Set(f, m.inverse_ax2),
-                             hn::MulAdd(hn::Mul(bh, bh), hn::Set(f, m.inverse_ay2), hn::Mul(nh, nh)));
+  const V tl = dot3(m.t, x, y, z), bl = dot3(m.b, x, y, z);
   const V s = hn::Sqrt(
       hn::MulAdd(hn::Mul(tl, tl), hn::Set(f, m.ax2), hn::MulAdd(hn::Mul(bl, bl), hn::Set(f, m.ay2), hn::Mul(nl, nl))));
-  const V below = hn::Mul(hn::Add(hn::Add(nl, s), hn::Set(f, 1e-12f)), hn::Mul(slope, slope));
-  const V specular = hn::Div(hn::Mul(nl, hn::Mul(half2, half2)), below);
-  const V fresnel = hn::Mul(specular, fifth(hn::Max(hn::NegMulAdd(hn::Set(f, 0.5f), hn::Sqrt(half2), one), zero)));
+  const V masked = hn::Add(hn::Add(nl, s), hn::Set(f, 1e-12f));
+  V specular = zero, fresnel = zero;
+  for (std::size_t i = 0; i < view_count; ++i) {
+    const ModelView& view = views[i];
+    const V half2 = hn::Max(hn::MulAdd(hn::Set(f, 2.f), dot3(view.v, x, y, z), hn::Set(f, 2.f)), hn::Set(f, 1e-6f));
+    const V nh = hn::Add(nl, hn::Set(f, view.nv)), th = hn::Add(tl, hn::Set(f, view.tv)),
+            bh = hn::Add(bl, hn::Set(f, view.bv));
+    const V slope = hn::MulAdd(hn::Mul(th, th), hn::Set(f, m.inverse_ax2),
+                               hn::MulAdd(hn::Mul(bh, bh), hn::Set(f, m.inverse_ay2), hn::Mul(nh, nh)));
+    const V lobe =
+        hn::Div(hn::Mul(hn::Set(f, view.share), hn::Mul(half2, half2)), hn::Mul(masked, hn::Mul(slope, slope)));
+    specular = hn::Add(specular, lobe);
+    const V grazing = hn::Max(hn::NegMulAdd(hn::Set(f, 0.5f), hn::Sqrt(half2), one), zero);
+    fresnel = hn::MulAdd(lobe, fifth(grazing), fresnel);
+  }
+  specular = hn::Mul(specular, nl);
+  fresnel = hn::Mul(fresnel, nl);
   const V transmitted = hn::NegMulAdd(nl, fifth(hn::Sub(one, nl)), nl);
-  const auto value = [&](int c) {
-    return hn::MulAdd(
-        hn::Set(f, m.fresnel[c]), fresnel,
-        hn::MulAdd(hn::Set(f, m.specular[c]), specular,
-                   hn::MulAdd(hn::Set(f, m.transmitted[c]), transmitted, hn::Mul(hn::Set(f, m.lambert[c]), nl))));
-  };
-  red = hn::MulAdd(r, value(0), red);
-  green = hn::MulAdd(g, value(1), green);
-  blue = hn::MulAdd(b, value(2), blue);
+  for (int c = 0; c < 3; ++c)
+    value(c, hn::MulAdd(hn::Set(f, m.fresnel[c]), fresnel,
+                        hn::MulAdd(hn::Set(f, m.specular[c]), specular,
+                                   hn::MulAdd(hn::Set(f, m.transmitted[c]), transmitted,
+                                              hn::Mul(hn::Set(f, m.lambert[c]), nl)))));
 }
 
-void sums(const ModelAtView& m, const DirectionLanes& lights, const std::array<const float*, 3>& amount,
-          std::size_t count, std::array<float, 3>& result) {
+void sums(const ModelOfPoint& m, const ModelView* views, std::size_t view_count, const DirectionLanes& lights,
+          const std::array<const float*, 3>& amount, std::size_t count, std::array<float, 3>& result) {
   const F f;
   V sum[3][kParts];
   for (auto& channel : sum)
@@ -90,8 +98,8 @@ void sums(const ModelAtView& m, const DirectionLanes& lights, const std::array<c
     for (std::size_t p = 0; p < kParts; ++p) {
       const std::size_t at = i + p * kLanes;
       const V x = hn::LoadU(f, lights.x + at), y = hn::LoadU(f, lights.y + at), z = hn::LoadU(f, lights.z + at);
-      addValues(m, x, y, z, dot3(m.n, x, y, z), hn::LoadU(f, amount[0] + at), hn::LoadU(f, amount[1] + at),
-                hn::LoadU(f, amount[2] + at), sum[0][p], sum[1][p], sum[2][p]);
+      values(m, views, view_count, x, y, z, dot3(m.n, x, y, z),
+             [&](int c, V value) { sum[c][p] = hn::MulAdd(hn::LoadU(f, amount[c] + at), value, sum[c][p]); });
     }
   for (int c = 0; c < 3; ++c) result[c] = fold(sum[c]);
 }
@@ -140,9 +148,9 @@ std::size_t largest(const float* key, std::size_t count, std::size_t most, std::
   return found;
 }
 
-void distant(const ModelAtView& m, const DistantLanes& lights, const std::int8_t* sight, const std::uint32_t* about,
-             const CapturedShadow& shadow, std::size_t count, std::uint32_t* facing, float* shown_energy,
-             std::size_t& facing_count, std::array<float, 3>& result) {
+void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& lights, const std::int8_t* sight,
+             const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count, std::uint32_t* facing,
+             float* shown_energy, std::size_t& facing_count, std::array<float, 3>& result) {
   const F f;
   const I d;
   const hn::Rebind<std::int8_t, F> bytes;
@@ -171,9 +179,9 @@ void distant(const ModelAtView& m, const DistantLanes& lights, const std::int8_t
       for (unsigned rest = bitsOf(f, faces); rest; rest &= rest - 1)
         facing[found++] = static_cast<std::uint32_t>(at + std::countr_zero(rest));
       if (hn::AllTrue(f, hn::Eq(shown, hn::Zero(f)))) continue;
-      addValues(m, x, y, z, cosine, hn::Mul(shown, hn::LoadU(f, lights.irradiance[0] + at)),
-                hn::Mul(shown, hn::LoadU(f, lights.irradiance[1] + at)),
-                hn::Mul(shown, hn::LoadU(f, lights.irradiance[2] + at)), sum[0][p], sum[1][p], sum[2][p]);
+      values(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
+        sum[c][p] = hn::MulAdd(hn::Mul(shown, hn::LoadU(f, lights.irradiance[c] + at)), value, sum[c][p]);
+      });
     }
   facing_count = found;
   for (int c = 0; c < 3; ++c) result[c] = fold(sum[c]);
@@ -225,16 +233,17 @@ void residual(const ResidualShares& s, const CapturedLanes& lights, float most_r
       light.irradiance[c] = hn::Mul(hn::LoadU(f, s.weight[c] + i), hn::LoadU(f, lights.irradiance[c] + i));
     return light;
   };
-  V standing[kParts];
-  for (V& part : standing) part = zero;
+  V standing[kParts], reaching[kParts];
+  for (std::size_t p = 0; p < kParts; ++p) standing[p] = reaching[p] = zero;
   for (std::size_t i = 0; i < count; i += kGuidedLanes)
     for (std::size_t p = 0; p < kParts; ++p) {
       const Light light = read(i + p * kLanes);
       const V all = hn::Add(hn::Add(light.irradiance[0], light.irradiance[1]), light.irradiance[2]);
       standing[p] = hn::MulAdd(light.amount_lit, all, standing[p]);
+      reaching[p] = hn::Add(reaching[p], hn::LoadU(f, s.shown + i + p * kLanes));
     }
-  const float stands = fold(standing);
-  const V scale = hn::Set(f, stands > 0 ? s.gate * std::min(most_ratio, s.reaching / stands) : 0.f);
+  const float stands = fold(standing), reaches = fold(reaching);
+  const V scale = hn::Set(f, stands > 0 ? s.gate * std::min(most_ratio, reaches / stands) : 0.f);
   for (std::size_t i = 0; i < count; i += kLanes) {
     const Light light = read(i);
     const V known = hn::LoadU(f, lights.known + i);
@@ -247,6 +256,40 @@ void residual(const ResidualShares& s, const CapturedLanes& lights, float most_r
       hn::StoreU(hn::Mul(taken, light.irradiance[c]), f, model[c] + i);
     }
   }
+}
+
+std::size_t used(const CapturedLanes& lights, std::size_t count, const std::array<const float*, 3>& photograph,
+                 const std::array<const float*, 3>& model, const std::array<float*, 3>& out, const UsedLanes& to,
+                 std::size_t& photographs) {
+  const F f;
+  const V zero = hn::Zero(f);
+  std::size_t found = 0;
+  photographs = 0;
+  for (std::size_t i = 0; i < count; i += kLanes) {
+    alignas(64) float taken[3][kLanes];
+    auto gives = hn::Ne(zero, zero), takes = gives;
+    for (int c = 0; c < 3; ++c) {
+      const V inverse = hn::LoadU(f, lights.inverse[c] + i);
+      const V given = hn::Mul(hn::LoadU(f, photograph[c] + i), inverse);
+      const V away = hn::IfThenElseZero(hn::Gt(inverse, zero), hn::LoadU(f, model[c] + i));
+      gives = hn::Or(gives, hn::Ne(given, zero));
+      takes = hn::Or(takes, hn::Ne(away, zero));
+      hn::StoreU(given, f, out[c] + i);
+      hn::Store(away, f, taken[c]);
+    }
+    photographs += hn::CountTrue(f, gives);
+    for (unsigned rest = bitsOf(f, takes); rest; rest &= rest - 1, ++found) {
+      const int lane = std::countr_zero(rest);
+      to.direction[0][found] = lights.direction.x[i + lane], to.direction[1][found] = lights.direction.y[i + lane];
+      to.direction[2][found] = lights.direction.z[i + lane];
+      for (int c = 0; c < 3; ++c) to.model[c][found] = taken[c][lane];
+    }
+  }
+  for (std::size_t i = found; i < guidedLanes(found); ++i) {
+    to.direction[0][i] = to.direction[1][i] = 0, to.direction[2][i] = 1;
+    for (int c = 0; c < 3; ++c) to.model[c][i] = 0;
+  }
+  return found;
 }
 
 void bits(const std::uint64_t* const* rows, const float* weight, int points, std::size_t count, float* shares) {
@@ -277,41 +320,47 @@ HWY_EXPORT(distant);
 HWY_EXPORT(captured);
 HWY_EXPORT(residual);
 HWY_EXPORT(bits);
+HWY_EXPORT(used);
 
-ModelAtView modelAtView(const PointReflectance& point, const std::array<float, 3>& view, const Mat3* to_lights) {
-  constexpr float kLeastCosine = 1e-3f;  // as modelTerms has it
-  constexpr float kInversePi = 0.318309886183790672f;
+ModelOfPoint modelOfPoint(const PointReflectance& point) {
   const auto [nx, ny, nz] = point.normal;
   const auto [tx, ty, tz] = point.tangent;
-  ModelAtView m;
-  m.n = point.normal, m.t = point.tangent, m.v = view;
+  ModelOfPoint m;
+  m.n = point.normal, m.t = point.tangent;
   m.b = {ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx};
-  const auto dot = [&](const std::array<float, 3>& a) { return a[0] * view[0] + a[1] * view[1] + a[2] * view[2]; };
-  m.nv = std::max(dot(m.n), kLeastCosine), m.tv = dot(m.t), m.bv = dot(m.b);
   const float ax = point.alpha_x, ay = point.alpha_y;
   m.ax2 = ax * ax, m.ay2 = ay * ay, m.inverse_ax2 = 1 / m.ax2, m.inverse_ay2 = 1 / m.ay2;
-  const float masking_v = 1 / (m.nv + std::sqrt(m.ax2 * m.tv * m.tv + m.ay2 * m.bv * m.bv + m.nv * m.nv));
-  const float lobe = masking_v / (static_cast<float>(kPi) * ax * ay);
-  const float grazing = 1 - m.nv, squared = grazing * grazing;
-  const float transmitted_v = kInversePi * (1 - squared * squared * grazing);
-  for (int c = 0; c < 3; ++c) {
-    m.lambert[c] = kInversePi * point.coefficient[0][c];
-    m.transmitted[c] = transmitted_v * point.coefficient[1][c];
-    m.specular[c] = lobe * point.coefficient[2][c];
-    m.fresnel[c] = lobe * point.coefficient[3][c];
-  }
-  if (to_lights)
-    for (std::array<float, 3>* axis : {&m.n, &m.t, &m.b, &m.v}) {
-      const Vec3 turned = *to_lights * Vec3{(*axis)[0], (*axis)[1], (*axis)[2]};
-      for (int k = 0; k < 3; ++k) (*axis)[k] = static_cast<float>(turned[k]);
-    }
+  m.specular = point.coefficient[2], m.fresnel = point.coefficient[3];
+  m.lambert = m.transmitted = {0, 0, 0};
+  m.lobe = 1 / (static_cast<float>(kPi) * ax * ay);
   return m;
 }
+ModelView addView(ModelOfPoint& m, const PointReflectance& point, const std::array<float, 3>& view, float share) {
+  constexpr float kLeastCosine = 1e-3f;  // as modelTerms has it
+  constexpr float kInversePi = 0.318309886183790672f;
+  const auto dot = [&](const std::array<float, 3>& a) { return a[0] * view[0] + a[1] * view[1] + a[2] * view[2]; };
+  ModelView to{view, std::max(dot(m.n), kLeastCosine), dot(m.t), dot(m.b), 0};
+  to.share = share * m.lobe / (to.nv + std::sqrt(m.ax2 * to.tv * to.tv + m.ay2 * to.bv * to.bv + to.nv * to.nv));
+  const float grazing = 1 - to.nv, squared = grazing * grazing;
+  const float lambert = kInversePi * share, transmitted = lambert * (1 - squared * squared * grazing);
+  for (int c = 0; c < 3; ++c) {
+    m.lambert[c] += lambert * point.coefficient[0][c];
+    m.transmitted[c] += transmitted * point.coefficient[1][c];
+  }
+  return to;
+}
+void turn(ModelOfPoint& model, ModelView& view, const Mat3& to_lights) {
+  for (std::array<float, 3>* axis : {&model.n, &model.t, &model.b, &view.v}) {
+    const Vec3 turned = to_lights * Vec3{(*axis)[0], (*axis)[1], (*axis)[2]};
+    for (int k = 0; k < 3; ++k) (*axis)[k] = static_cast<float>(turned[k]);
+  }
+}
 
-std::array<float, 3> modelSums(const ModelAtView& model, const DirectionLanes& lights,
-                               const std::array<const float*, 3>& amount, std::size_t count) {
+std::array<float, 3> modelSums(const ModelOfPoint& model, const ModelView* views, std::size_t view_count,
+                               const DirectionLanes& lights, const std::array<const float*, 3>& amount,
+                               std::size_t count) {
   std::array<float, 3> result;
-  HWY_DYNAMIC_DISPATCH(sums)(model, lights, amount, count, result);
+  HWY_DYNAMIC_DISPATCH(sums)(model, views, view_count, lights, amount, count, result);
   return result;
 }
 std::array<double, 3> modelSumsReference(const PointReflectance& point, const std::array<float, 3>& view,
@@ -334,12 +383,13 @@ void facingEnergy(const std::array<float, 3>& n, const DirectionLanes& lights, c
 std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position) {
   return HWY_DYNAMIC_DISPATCH(largest)(key, count, most, position);
 }
-std::array<float, 3> distantSums(const ModelAtView& model, const DistantLanes& lights, const std::int8_t* sight,
-                                 const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count,
-                                 std::uint32_t* facing, float* shown_energy, std::size_t& facing_count) {
+std::array<float, 3> distantSums(const ModelOfPoint& model, const ModelView& view, const DistantLanes& lights,
+                                 const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow,
+                                 std::size_t count, std::uint32_t* facing, float* shown_energy,
+                                 std::size_t& facing_count) {
   std::array<float, 3> result;
   HWY_DYNAMIC_DISPATCH(distant)
-  (model, lights, sight, about, shadow, count, facing, shown_energy, facing_count, result);
+  (model, view, lights, sight, about, shadow, count, facing, shown_energy, facing_count, result);
   return result;
 }
 void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, std::size_t count, float* lit,
@@ -349,6 +399,11 @@ void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, 
 void residualAmounts(const ResidualShares& shares, const CapturedLanes& lights, float most_ratio, std::size_t count,
                      const std::array<float*, 3>& photograph, const std::array<float*, 3>& model) {
   HWY_DYNAMIC_DISPATCH(residual)(shares, lights, most_ratio, count, photograph, model);
+}
+std::size_t usedLights(const CapturedLanes& lights, std::size_t count, const std::array<const float*, 3>& photograph,
+                       const std::array<const float*, 3>& model, const std::array<float*, 3>& out, const UsedLanes& to,
+                       std::size_t& photographs) {
+  return HWY_DYNAMIC_DISPATCH(used)(lights, count, photograph, model, out, to, photographs);
 }
 void shareBits(const std::uint64_t* const* rows, const float* weight, int points, std::size_t count, float* shares) {
   HWY_DYNAMIC_DISPATCH(bits)(rows, weight, points, count, shares);

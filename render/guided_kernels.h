@@ -23,23 +23,32 @@ struct DirectionLanes {
   const float *x, *y, *z;
 };
 
-/// The fitted model of one point for one view, in the space of the lights.
-struct ModelAtView {
-  std::array<float, 3> n, t, b, v;
+/// The fitted model of one point, and views of it, each with the share that it counts. In the space of the lights.
+struct ModelOfPoint {
+  std::array<float, 3> n, t, b;
   float ax2, ay2, inverse_ax2, inverse_ay2;
-  float nv, tv, bv;
-  // The coefficients, each with what depends on the view alone.
-  std::array<float, 3> lambert, transmitted, specular, fresnel;
+  std::array<float, 3> specular, fresnel;     ///< ks and kf
+  std::array<float, 3> lambert, transmitted;  ///< kd and kt, with what depends on the views alone
+  float lobe;                                 ///< of all views
 };
-/// Of a point whose normal, tangent and `view` lie in acquisition space. `to_lights`: from there to the space of the
-/// lights, orthogonal; null: they lie in acquisition space too.
-ModelAtView modelAtView(const PointReflectance& point, const std::array<float, 3>& view, const Mat3* to_lights);
+struct ModelView {
+  std::array<float, 3> v;
+  float nv, tv, bv;
+  float share;  ///< with what else depends on the view alone
+};
+/// A point whose normal and tangent lie in acquisition space, without views.
+ModelOfPoint modelOfPoint(const PointReflectance& point);
+/// Adds a view in acquisition space. Where it counts by `share`.
+ModelView addView(ModelOfPoint& model, const PointReflectance& point, const std::array<float, 3>& view, float share);
+/// Turns both to another space. `to_lights`: orthogonal.
+void turn(ModelOfPoint& model, ModelView& view, const Mat3& to_lights);
 
-/// sum over lights i of amount[c][i] M_c(l_i, v), for each channel c. Error: at most 1e-4 of
-/// sum |amount[c][i]| * (the sum of the largest values of each term over these lights).
-std::array<float, 3> modelSums(const ModelAtView& model, const DirectionLanes& lights,
-                               const std::array<const float*, 3>& amount, std::size_t count);
-/// The same in double, one light after the other by modelTermsReference: the oracle. All in acquisition space.
+/// sum over views v and lights i of share_v amount[c][i] M_c(l_i, v), for each channel c. Error: at most 1e-4 of
+/// sum |share_v amount[c][i]| * (the sum of the largest values of each term over these lights).
+std::array<float, 3> modelSums(const ModelOfPoint& model, const ModelView* views, std::size_t view_count,
+                               const DirectionLanes& lights, const std::array<const float*, 3>& amount,
+                               std::size_t count);
+/// The same of one view in double, one light after the other by modelTermsReference: the oracle.
 std::array<double, 3> modelSumsReference(const PointReflectance& point, const std::array<float, 3>& view,
                                          const DirectionLanes& lights, const std::array<const float*, 3>& amount,
                                          std::size_t count);
@@ -69,9 +78,10 @@ struct CapturedShadow {
 /// `shown` is how much of the light reaches the hit by `sight` and by the captured light `about` it. Fills
 /// facing[] with the positions of the lights that the hit faces, rising, and at each of them shown * energy into
 /// shown_energy[]; returns in `facing_count` how many.
-std::array<float, 3> distantSums(const ModelAtView& model, const DistantLanes& lights, const std::int8_t* sight,
-                                 const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count,
-                                 std::uint32_t* facing, float* shown_energy, std::size_t& facing_count);
+std::array<float, 3> distantSums(const ModelOfPoint& model, const ModelView& view, const DistantLanes& lights,
+                                 const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow,
+                                 std::size_t count, std::uint32_t* facing, float* shown_energy,
+                                 std::size_t& facing_count);
 
 /// The captured lights of one list as hits see them.
 struct CapturedLanes {
@@ -88,15 +98,24 @@ void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, 
 struct ResidualShares {
   float gate, indirect, indirect_shadow;
   bool as_is;                          ///< whether any of it is taken as it is
-  float reaching;                      ///< energy that reaches the hit
   const float *shown, *all;            ///< of the energy about each captured light: what is shown, and all
   const float *lit, *usable;           ///< of each captured light
   std::array<const float*, 3> weight;  ///< of each captured light, in its own irradiance
 };
 /// photograph[c][i], model[c][i]: irradiance by which captured light i counts in what photographs give and in what the
-/// model takes away. At most `most_ratio` of what the lit lights sum to is scaled up to `reaching`.
+/// model takes away. The lit lights are scaled to sum to what is shown, by at most `most_ratio`.
 void residualAmounts(const ResidualShares& shares, const CapturedLanes& lights, float most_ratio, std::size_t count,
                      const std::array<float*, 3>& photograph, const std::array<float*, 3>& model);
+
+/// Ends the amounts of a hit: photograph[c] *= inverse[c], into out[c]; model[c] = 0 where inverse[c] is. Copies
+/// direction and model of the lights whose model is not 0 to `used`, one after the other and then amounts of 0 up to
+/// guidedLanes. Returns how many of these there are, and in `photographs` how many lights have a photograph.
+struct UsedLanes {
+  std::array<float*, 3> direction, model;
+};
+std::size_t usedLights(const CapturedLanes& lights, std::size_t count, const std::array<const float*, 3>& photograph,
+                       const std::array<const float*, 3>& model, const std::array<float*, 3>& out,
+                       const UsedLanes& used, std::size_t& photographs);
 
 /// shares[i] = min(1, sum over p of weight[p] * (bit i of rows[p])), points one after the other.
 void shareBits(const std::uint64_t* const* rows, const float* weight, int points, std::size_t count, float* shares);
