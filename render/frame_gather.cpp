@@ -142,7 +142,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
   lap(kViews);
 
-  GuidedBlock guided_block;
+  thread_local GuidedBlock guided_block;  // for its memory
+  guided_block.shadow_rays = guided_block.model_values = 0;
   if (guided) {
     std::vector<GuidedQuery> guided_queries;
     for (std::size_t m = 0; m < met.size(); ++m)

@@ -3,14 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "base/numeric.h"
 
 namespace srf {
 namespace {
 
-// A captured light this low over the surface tells nothing of it; and it is divided by its cosine, kept above kCosine.
-constexpr float kLowest = 0.05f, kLowEnough = 0.12f;
+// A captured light is divided by its cosine, kept above kCosine.
 constexpr float kCosine = 0.1f, kMostRatio = 2;
 // The lit residual fades out where less than this share of the captured lights about the one asked for light the point.
 constexpr float kFade = 0.25f;
@@ -19,6 +19,7 @@ constexpr float kNear = static_cast<float>(radians(1)), kNotNear = static_cast<f
 // Shadow rays start this far off the surface, of the object's diameter: above rounding and the facets of a mesh.
 constexpr double kRayOffset = 5e-4;
 constexpr double kShortOfLight = 0.999;  // of the distance to a point light, which may stand in the object itself
+constexpr std::size_t kRaysAtOnce = 1024;
 
 std::array<float, 3> floats(const Vec3& a) {
   return {static_cast<float>(a.x), static_cast<float>(a.y), static_cast<float>(a.z)};
@@ -26,10 +27,6 @@ std::array<float, 3> floats(const Vec3& a) {
 float dot3(const std::array<float, 3>& a, float x, float y, float z) {
   return a[0] * x + a[1] * y + a[2] * z;
 }
-std::size_t padded(std::size_t count) {
-  return (count + 7) / 8 * 8;
-}
-
 float square(float x) {
   return x * x;
 }
@@ -37,24 +34,43 @@ float smoothstepf(float edge0, float edge1, float x) {
   const float t = std::clamp((x - edge0) / (edge1 - edge0), 0.f, 1.f);
   return t * t * (3 - 2 * t);
 }
-
-/// sum a[i] b[i] over a multiple of 8, in eight partial sums.
-float sumOfProducts(const float* a, const float* b, std::size_t count) {
-  float sum[8] = {};
-  for (std::size_t i = 0; i < count; i += 8)
-    for (int lane = 0; lane < 8; ++lane) sum[lane] += a[i + lane] * b[i + lane];
-  return ((sum[0] + sum[4]) + (sum[2] + sum[6])) + ((sum[1] + sum[5]) + (sum[3] + sum[7]));
+DirectionLanes lanesOf(const std::array<std::vector<float>, 3>& of, std::size_t from = 0) {
+  return {of[0].data() + from, of[1].data() + from, of[2].data() + from};
+}
+template <class Float>
+std::array<Float*, 3> channels(std::array<std::vector<float>, 3>& of) {
+  return {of[0].data(), of[1].data(), of[2].data()};
+}
+std::array<const float*, 3> channels(const std::array<std::vector<float>, 3>& of) {
+  return {of[0].data(), of[1].data(), of[2].data()};
 }
 
-/// Share of a hit's points whose bit is set in the column.
-float share(const VisibilityBits& bits, const SurfaceHit& hit, std::uint32_t column) {
-  float sum = 0;
-  for (int i = 0; i < hit.count; ++i)
-    if (bits.get(hit.point[i], column)) sum += hit.weight[i];
-  return std::min(sum, 1.f);
+/// Where light i of the list stands as seen from p, and what it gives there.
+void putCaptured(const AcquiredLights& list, std::uint32_t i, const Point<AcquisitionSpace>& p,
+                 GuidedBlock::Captured& to) {
+  const std::array<float, 3> l = floats(list.directionOf(i, p).raw());
+  const Vec3 inverse = list.inverseIrradiance(i, p);
+  to.known[i] = 1;
+  for (int c = 0; c < 3; ++c) {
+    to.direction[c][i] = l[c];
+    to.inverse[c][i] = static_cast<float>(inverse[c]);
+    to.irradiance[c][i] = inverse[c] > 0 ? static_cast<float>(1 / inverse[c]) : 0.f;
+  }
 }
 
 }  // namespace
+
+void GuidedBlock::Captured::resize(std::size_t lanes) {
+  known.assign(lanes, 0);
+  for (int c = 0; c < 3; ++c) {
+    direction[c].assign(lanes, c == 2 ? 1.f : 0.f);
+    irradiance[c].assign(lanes, 0);
+    inverse[c].assign(lanes, 0);
+  }
+}
+CapturedLanes GuidedBlock::Captured::lanes() const {
+  return {lanesOf(direction), known.data(), channels(irradiance), channels(inverse)};
+}
 
 GuidedLighting::GuidedLighting(const ReflectanceFit& fit, const FrameLighting& lighting, SharedStandIns& stand_ins,
                                const DeformedModel& occluders, std::span<const SourceView> views,
@@ -66,19 +82,35 @@ GuidedLighting::GuidedLighting(const ReflectanceFit& fit, const FrameLighting& l
       views_(views),
       list_of_view_(list_of_view),
       options_(options),
-      row_(padded(lighting.lights().distant.size() + lighting.lights().near_lights.size())),
+      distant_lanes_(guidedLanes(lighting.lights().distant.size())),
+      near_lanes_(guidedLanes(lighting.lights().near_lights.size())),
       offset_(std::max(kRayOffset * occluders.model().bounds().diameter(), occluders.model().positional_error)),
       corrected_(fit.lit.words() != fit.lit_by_rays.words()) {
-  for (const DistantLight& light : lighting.lights().distant)
+  energy_.assign(distant_lanes_, 0);
+  for (int c = 0; c < 3; ++c) {
+    irradiance_[c].assign(distant_lanes_, 0);
+    direction_[c].assign(distant_lanes_, c == 2 ? 1.f : 0.f);
+  }
+  for (std::size_t k = 0; k < lighting.lights().distant.size(); ++k) {
+    const DistantLight& light = lighting.lights().distant[k];
     for (int c = 0; c < 3; ++c) {
-      irradiance_[c].push_back(static_cast<float>(light.irradiance[c]));
-      direction_[c].push_back(static_cast<float>(light.direction.raw()[c]));
+      irradiance_[c][k] = static_cast<float>(light.irradiance[c]);
+      direction_[c][k] = static_cast<float>(light.direction.raw()[c]);
     }
+    energy_[k] = irradiance_[0][k] + irradiance_[1][k] + irradiance_[2][k];
+  }
+  for (const AcquiredLights& list : lighting.lists()) {
+    List& to = lists_.emplace_back();
+    to.in_order = true;
+    for (std::size_t i = 0; i < list.ids().size(); ++i) to.in_order = to.in_order && list.ids()[i].value == i;
+    if (!list.distant()) continue;
+    to.captured.resize(lightPad(list.count()));
+    for (const std::uint32_t i : list.usable()) putCaptured(list, i, Point<AcquisitionSpace>(), to.captured);
+  }
 }
 
 void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const {
   hit.query = query;
-  hit.view = floats(query.view.raw());
   PointReflectance& to = hit.reflectance;
   to.normal = to.tangent = {0, 0, 0};
   to.alpha_x = to.alpha_y = 0;
@@ -108,36 +140,30 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
       normalize(Vector<AcquisitionSpace>(t - dot(n.raw(), t) * n.raw())).value_or(anyPerpendicular(n));
   to.normal = floats(n.raw());
   to.tangent = floats(tangent.raw());
+  hit.model = modelOfPoint(to);
+  hit.model_view = addView(hit.model, to, floats(query.view.raw()), 1);
+  turn(hit.model, hit.model_view, query.look_up->acquisition_from_object.raw().transposed());
 }
 
 void GuidedLighting::prepare(std::span<const GuidedQuery> queries, GuidedBlock& block) const {
   const FrameLights& lights = lighting_.lights();
-  const std::size_t near_count = lights.near_lights.size(), distant_count = lights.distant.size();
+  const std::size_t near_count = lights.near_lights.size();
   block.hits.assign(queries.size(), {});
-  block.x.assign(queries.size() * row_, 0);
-  block.y.assign(queries.size() * row_, 0);
-  block.z.assign(queries.size() * row_, 1);
-  block.visible.assign(queries.size() * row_, options_.shadows == Shadows::off ? 1.f : -1.f);
+  block.sight.assign(queries.size() * row(), options_.shadows == Shadows::off ? kInSight : kNotAsked);
+  for (int c = 0; c < 3; ++c) block.near_direction[c].assign(queries.size() * near_lanes_, c == 2 ? 1.f : 0.f);
   block.near_irradiance.resize(queries.size() * near_count);
+  block.shadow_rays = block.model_values = 0;
+  block.last_corner = {};
   for (std::size_t h = 0; h < queries.size(); ++h) {
     blend(queries[h], block.hits[h]);
-    const LookUp& look_up = *queries[h].look_up;
-    const auto put = [&](std::size_t k, const Direction<ObjectSpace>& light) {
-      const std::array<float, 3> l = floats((look_up.acquisition_from_object * light).raw());
-      block.x[h * row_ + k] = l[0], block.y[h * row_ + k] = l[1], block.z[h * row_ + k] = l[2];
-    };
-    const Mat3& m = look_up.acquisition_from_object.raw();
-    float* const to[3] = {block.x.data() + h * row_, block.y.data() + h * row_, block.z.data() + h * row_};
-    for (int r = 0; r < 3; ++r) {
-      const std::array<float, 3> row = floats({m.row[r][0], m.row[r][1], m.row[r][2]});
-      for (std::size_t k = 0; k < distant_count; ++k)
-        to[r][k] = dot3(row, direction_[0][k], direction_[1][k], direction_[2][k]);
-    }
     for (std::size_t k = 0; k < near_count; ++k) {  // Eq. 11: A(|p* - p_l|) I_l
       const Vector<ObjectSpace> to_light = lights.near_lights[k].position - queries[h].hit->p_star;
       const double d = std::max(length(to_light), options_.min_distance);
+      const LookUp& look_up = *queries[h].look_up;
+      const std::array<float, 3> l =
+          floats(normalize(to_light).value_or(look_up.acquisition_from_object.inverse() * look_up.normal).raw());
       block.near_irradiance[h * near_count + k] = lights.near_lights[k].intensity / (d * d);
-      put(distant_count + k, normalize(to_light).value_or(look_up.acquisition_from_object.inverse() * look_up.normal));
+      for (int c = 0; c < 3; ++c) block.near_direction[c][h * near_lanes_ + k] = l[c];
     }
   }
   if (options_.shadows != Shadows::off) castShadows(block);
@@ -145,149 +171,183 @@ void GuidedLighting::prepare(std::span<const GuidedQuery> queries, GuidedBlock& 
 
 void GuidedLighting::castShadows(GuidedBlock& block) const {
   const FrameLights& lights = lighting_.lights();
-  const std::size_t distant_count = lights.distant.size(), count = distant_count + lights.near_lights.size();
+  const std::size_t distant_count = lights.distant.size(), near_count = lights.near_lights.size();
   const bool at_rest = options_.shadows == Shadows::captured;
-  std::vector<Ray<ObjectSpace>> rays;
-  std::vector<double> far_distances;
-  std::vector<std::size_t> asked;  // positions in block.visible
-  std::vector<std::pair<float, std::size_t>> brightest;
+  auto& wanted = block.rays_wanted;
+  wanted.clear();
+  block.keys.resize(distant_lanes_);
+  block.positions.resize(distant_lanes_);
+  std::vector<Point<ObjectSpace>> origins(block.hits.size());
   for (std::size_t h = 0; h < block.hits.size(); ++h) {
     const GuidedBlock::Hit& hit = block.hits[h];
     if (!(hit.gate > 0)) continue;
     const LookUp& look_up = *hit.query.look_up;
     // Acquisition space is the object's at rest.
-    const auto object_from_acquisition = look_up.acquisition_from_object.inverse();
-    const auto in_object = [&](const Direction<AcquisitionSpace>& d) {
-      return at_rest ? Direction<ObjectSpace>::fromUnit(d.raw()) : object_from_acquisition * d;
-    };
-    const Point<ObjectSpace> surface = at_rest ? Point<ObjectSpace>(look_up.p.raw()) : hit.query.hit->p_star;
-    const Point<ObjectSpace> origin = surface + offset_ * in_object(look_up.normal);
-    const auto ask = [&](std::size_t k, double far) {
-      const std::size_t at = h * row_ + k;
-      // Not the rounded direction: a light at rest must fall as the one captured.
-      const auto direction = k < distant_count
-                                 ? look_up.acquisition_from_object * lights.distant[k].direction
-                                 : normalize(Vector<AcquisitionSpace>(Vec3{block.x[at], block.y[at], block.z[at]}))
-                                       .value_or(look_up.normal);
-      asked.push_back(at);
-      rays.push_back({origin, in_object(direction)});
-      far_distances.push_back(far);
-    };
-    const auto cosine = [&](std::size_t k) {
-      const std::size_t at = h * row_ + k;
-      return dot3(hit.reflectance.normal, block.x[at], block.y[at], block.z[at]);
-    };
-    brightest.clear();
-    for (std::size_t k = 0; k < count; ++k) {
-      if (!(cosine(k) > 0)) {
-        block.visible[h * row_ + k] = 0;
-      } else if (k >= distant_count) {
-        ask(k, kShortOfLight * distance(lights.near_lights[k - distant_count].position, hit.query.hit->p_star));
+    origins[h] =
+        at_rest ? Point<ObjectSpace>(look_up.p.raw()) + offset_ * Direction<ObjectSpace>::fromUnit(look_up.normal.raw())
+                : hit.query.hit->p_star + offset_ * (look_up.acquisition_from_object.inverse() * look_up.normal);
+    const auto hit_index = static_cast<std::uint32_t>(h);
+    if (distant_count > 0) {
+      facingEnergy(hit.model.n, lanesOf(direction_), energy_.data(), distant_count, block.keys.data());
+      const std::size_t count = largestKeys(block.keys.data(), distant_count,
+                                            static_cast<std::size_t>(options_.shadow_rays), block.positions.data());
+      for (std::size_t i = 0; i < count; ++i) wanted.emplace_back(block.positions[i], hit_index);
+    }
+    for (std::size_t k = 0; k < near_count; ++k) {
+      const DirectionLanes l = lanesOf(block.near_direction, h * near_lanes_ + k);
+      if (dot3(hit.model.n, *l.x, *l.y, *l.z) > 0)
+        wanted.emplace_back(static_cast<std::uint32_t>(distant_lanes_ + k), hit_index);
+    }
+  }
+  // By light: rays of one packet run side by side.
+  block.first_ray.assign(row() + 1, 0);
+  for (const auto& [light, hit] : wanted) ++block.first_ray[light + 1];
+  for (std::size_t k = 0; k < row(); ++k) block.first_ray[k + 1] += block.first_ray[k];
+  block.ray_order.resize(wanted.size());
+  for (std::uint32_t i = 0; i < wanted.size(); ++i) block.ray_order[block.first_ray[wanted[i].first]++] = i;
+
+  std::vector<Ray<ObjectSpace>> rays;
+  std::vector<double> far_distances;
+  std::vector<std::uint8_t> blocked;
+  for (std::size_t begin = 0; begin < wanted.size(); begin += kRaysAtOnce) {
+    const std::size_t end = std::min(wanted.size(), begin + kRaysAtOnce);
+    rays.clear();
+    far_distances.clear();
+    for (std::size_t i = begin; i < end; ++i) {
+      const auto [light, h] = wanted[block.ray_order[i]];
+      const GuidedBlock::Hit& hit = block.hits[h];
+      const auto& acquisition_from_object = hit.query.look_up->acquisition_from_object;
+      Direction<ObjectSpace> direction;
+      double far = std::numeric_limits<double>::infinity();
+      if (light < distant_count) {
+        direction = lights.distant[light].direction;
       } else {
-        const float energy = irradiance_[0][k] + irradiance_[1][k] + irradiance_[2][k];
-        brightest.emplace_back(-cosine(k) * energy, k);
+        const NearLight& near = lights.near_lights[light - distant_lanes_];
+        direction = normalize(near.position - hit.query.hit->p_star)
+                        .value_or(acquisition_from_object.inverse() * hit.query.look_up->normal);
+        far = kShortOfLight * distance(near.position, hit.query.hit->p_star);
       }
+      if (at_rest) direction = Direction<ObjectSpace>::fromUnit((acquisition_from_object * direction).raw());
+      rays.push_back({origins[h], direction});
+      far_distances.push_back(far);
     }
-    const auto most = std::min(brightest.size(), static_cast<std::size_t>(options_.shadow_rays));
-    if (most < brightest.size())
-      std::nth_element(brightest.begin(), brightest.begin() + static_cast<std::ptrdiff_t>(most), brightest.end());
-    for (std::size_t i = 0; i < most; ++i) ask(brightest[i].second, std::numeric_limits<double>::infinity());
+    blocked.assign(rays.size(), 0);
+    occluders_.rays().occluded(rays, far_distances, 0, blocked);
+    for (std::size_t i = begin; i < end; ++i) {
+      const auto [light, h] = wanted[block.ray_order[i]];
+      block.sight[h * row() + light] = blocked[i - begin] ? kHidden : kInSight;
+    }
   }
-  std::vector<std::uint8_t> blocked(rays.size(), 0);
-  block.shadow_rays += rays.size();
-  occluders_.rays().occluded(rays, far_distances, 0, blocked);
-  for (std::size_t i = 0; i < asked.size(); ++i) block.visible[asked[i]] = blocked[i] ? 0.f : 1.f;
+  block.shadow_rays += wanted.size();
 }
 
-void GuidedLighting::readCaptured(const AcquiredLights& list, GuidedBlock& block, const GuidedBlock::Hit& hit) const {
-  block.captured.assign(list.count(), {});
-  bool any = false;
-  for (const std::uint32_t i : list.usable()) {
-    GuidedBlock::Captured& light = block.captured[i];
-    const std::array<float, 3> l = floats(list.directionOf(i, hit.query.look_up->p).raw());
-    light.x = l[0], light.y = l[1], light.z = l[2];
-    const std::uint32_t column = list.ids()[i].value;
-    light.lit = share(fit_.lit, *hit.query.hit, column);
-    if (corrected_) light.disagree = std::fabs(light.lit - share(fit_.lit_by_rays, *hit.query.hit, column));
-    light.usable = share(fit_.lit_around, *hit.query.hit, column);
-    any = any || light.usable > 0;
+void GuidedLighting::share(const VisibilityBits& bits, std::uint32_t list, const SurfaceHit& hit,
+                           std::vector<float>& shares) const {
+  const std::uint64_t* rows[SurfaceHit::kMostPoints];
+  for (int i = 0; i < hit.count; ++i) rows[i] = bits.row(hit.point[i]);
+  if (lists_[list].in_order) {
+    // The list may be shorter than a row, and its padding longer.
+    const std::size_t columns = std::min(shares.size(), 64 * bits.wordsPerPoint());
+    return shareBits(rows, hit.weight, hit.count, columns, shares.data());
   }
-  for (const std::uint32_t i : list.usable()) {
-    GuidedBlock::Captured& light = block.captured[i];
-    const float cosine = dot3(hit.reflectance.normal, light.x, light.y, light.z);
-    light.facing = smoothstepf(kLowest, kLowEnough, cosine);
-    light.usable = (any ? light.usable : light.lit) * light.facing;
-    light.inverse_cosine = 1 / std::max(cosine, kCosine);
+  const std::vector<LightId>& ids = lighting_.lists()[list].ids();
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    float sum = 0;
+    for (int k = 0; k < hit.count; ++k)
+      if (bits.get(hit.point[k], ids[i].value)) sum += hit.weight[k];
+    shares[i] = std::min(sum, 1.f);
   }
 }
 
-void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t list_index, std::size_t first) const {
-  const GuidedBlock::Hit& hit = block.hits[index];
-  const FrameLights& lights = lighting_.lights();
-  const std::size_t distant_count = lights.distant.size(), near_count = lights.near_lights.size();
-  const float gate = options_.model_alone ? 1 : hit.gate;
+CapturedLanes GuidedLighting::readCaptured(std::uint32_t list_index, GuidedBlock& block,
+                                           const GuidedBlock::Hit& hit) const {
+  const AcquiredLights& list = lighting_.lists()[list_index];
+  const std::size_t lanes = lightPad(list.count());
+  if (!list.distant()) {
+    block.captured.resize(lanes);
+    for (const std::uint32_t i : list.usable()) putCaptured(list, i, hit.query.look_up->p, block.captured);
+  }
+  const CapturedLanes captured = (list.distant() ? lists_[list_index].captured : block.captured).lanes();
+  for (std::vector<float>* of : {&block.lit, &block.usable, &block.facing}) of->assign(lanes, 0);
+  share(fit_.lit, list_index, *hit.query.hit, block.lit);
+  share(fit_.lit_around, list_index, *hit.query.hit, block.usable);
+  block.disagree.assign(lanes, 0);
+  if (corrected_) {
+    share(fit_.lit_by_rays, list_index, *hit.query.hit, block.disagree);
+    for (std::size_t i = 0; i < lanes; ++i)
+      block.disagree[i] = captured.known[i] * std::fabs(block.lit[i] - block.disagree[i]);
+  }
+  facingCaptured(hit.reflectance.normal, captured, lanes, block.lit.data(), block.usable.data(), block.facing.data());
+  return captured;
+}
+
+float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, std::uint32_t list_index,
+                             const CapturedLanes& captured, const Direction<AcquisitionSpace>& direction, float cosine,
+                             LightSight sight, const std::array<float, 3>& e) const {
+  const float gate = gateOf(hit);
   const bool off = options_.shadows == Shadows::off;
-  const AcquiredLights& list = lighting_.lists()[list_index];
-  const LookUp& look_up = *hit.query.look_up;
-  for (std::size_t k = first; k < distant_count + near_count; ++k) {
-    const std::size_t at = index * row_ + k;
-    const float x = block.x[at], y = block.y[at], z = block.z[at];
-    const float cosine = dot3(hit.reflectance.normal, x, y, z);
-    // Below the horizon only what is interpolated as it is could count.
-    if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0)) continue;
-    const std::array<float, 3> e =
-        floats(k < distant_count ? lights.distant[k].irradiance
-                                 : block.near_irradiance[index * near_count + k - distant_count]);
-    const Direction<AcquisitionSpace> direction =
-        k < distant_count ? look_up.acquisition_from_object * lights.distant[k].direction
-                          : normalize(Vector<AcquisitionSpace>(Vec3{x, y, z})).value_or(look_up.normal);
-    list.nearest(direction, look_up.p, block.order, block.weights);
-    // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
-    // the nearest is.
-    float lit = 0, facing = 0, usable = 0, disagree = 0, nearest = 4;
-    for (const auto& [i, weight] : block.weights) {
-      const GuidedBlock::Captured& light = block.captured[i];
-      const auto w = static_cast<float>(weight);
-      lit += w * light.facing * light.lit;
-      facing += w * light.facing;
-      usable += w * light.usable;
-      disagree += w * light.disagree;
-      nearest = std::min(nearest, square(x - light.x) + square(y - light.y) + square(z - light.z));
-    }
-    const float asked = block.visible[at];
-    const float captured = facing > 0 ? lit / facing : asked < 0 ? 1 : asked;
-    float visible = asked < 0 ? captured : asked;
-    if (disagree > 0 && !off) {
-      visible *= 1 - disagree;
-      for (const auto& [i, weight] : block.weights)
-        visible += static_cast<float>(weight) * block.captured[i].disagree * block.captured[i].lit;
-    }
-    const float nearness = nearest < kNotNear * kNotNear ? 1 - smoothstepf(kNear, kNotNear, std::sqrt(nearest)) : 0;
-    const float indirect = hit.indirectUnder(cosine > 0 ? visible : 0);
-    const float as_is = off ? 0 : indirect + (1 - indirect) * nearness;
-    const float shown = options_.shadows == Shadows::captured ? visible + nearness * (captured - visible) : visible;
-    for (int c = 0; c < 3; ++c) block.reach[c][k] = gate * shown * e[c];
-    if (options_.model_alone) continue;
+  // Below the horizon only what is interpolated as it is could count.
+  if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0)) return 0;
+  lighting_.lists()[list_index].nearest(direction, hit.query.look_up->p, block.order, block.weights);
+  const std::array<float, 3> l = floats(direction.raw());
+  const auto [x, y, z] = captured.direction;
+  // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
+  // the nearest is.
+  float lit = 0, facing = 0, usable = 0, disagree = 0, nearest = 4;
+  for (const auto& [i, weight] : block.weights) {
+    const auto w = static_cast<float>(weight);
+    lit += w * block.facing[i] * block.lit[i];
+    facing += w * block.facing[i];
+    usable += w * block.usable[i];
+    disagree += w * block.disagree[i];
+    nearest = std::min(nearest, square(l[0] - x[i]) + square(l[1] - y[i]) + square(l[2] - z[i]));
+  }
+  if (!off && !(cosine > 0)) sight = kHidden;
+  const float through = facing > 0 ? lit / facing : sight == kHidden ? 0 : 1;
+  float visible = sight == kNotAsked ? through : static_cast<float>(sight);
+  if (disagree > 0 && !off) {
+    visible *= 1 - disagree;
+    for (const auto& [i, weight] : block.weights)
+      visible += static_cast<float>(weight) * block.disagree[i] * block.lit[i];
+  }
+  const float nearness = nearest < kNotNear * kNotNear ? 1 - smoothstepf(kNear, kNotNear, std::sqrt(nearest)) : 0;
+  const float indirect = hit.indirectUnder(cosine > 0 ? visible : 0);
+  const float as_is = off ? 0 : indirect + (1 - indirect) * nearness;
+  const float shown = options_.shadows == Shadows::captured ? visible + nearness * (through - visible) : visible;
+  if (options_.model_alone) return gate * shown;
 
-    const float relit = usable > 0 && cosine > 0 ? (1 - as_is) * visible * smoothstepf(0, kFade, usable) / usable : 0;
-    for (const auto& [i, weight] : block.weights) {
-      const GuidedBlock::Captured& light = block.captured[i];
-      const auto w = static_cast<float>(weight);
-      const float ratio = std::min(kMostRatio, cosine * light.inverse_cosine);
-      const float from_lit = w * gate * relit * light.usable * ratio, from_all = w * gate * as_is;
-      const float photograph = from_lit + from_all + w * (1 - gate), model = from_lit + from_all * light.lit;
-      float* const amount = block.amounts[i].of;
-      for (int c = 0; c < 3; ++c) amount[c] += photograph * e[c];
-      for (int c = 0; c < 3; ++c) amount[4 + c] += model * e[c];
+  const float relit = usable > 0 && cosine > 0 ? (1 - as_is) * visible * smoothstepf(0, kFade, usable) / usable : 0;
+  for (const auto& [i, weight] : block.weights) {
+    const auto w = static_cast<float>(weight);
+    const float ratio =
+        std::min(kMostRatio, cosine / std::max(dot3(hit.reflectance.normal, x[i], y[i], z[i]), kCosine));
+    const float from_lit = w * gate * relit * block.usable[i] * ratio, from_all = w * gate * as_is;
+    const float photograph = from_lit + from_all + w * (1 - gate), model = from_lit + from_all * block.lit[i];
+    for (int c = 0; c < 3; ++c) {
+      block.photograph[c][i] += photograph * e[c];
+      block.model[c][i] += model * e[c];
     }
   }
+  return gate * shown;
 }
 
-void GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list_index) const {
+const SharedStandIns::Corner& GuidedLighting::corner(GuidedBlock& block, int slot, const SharedKey& key) const {
+  // Neighbouring hits mostly want the same ones.
+  for (int i = 0; i < 4; ++i) {
+    const int at = (slot + i) % 4;
+    if (block.last_corner[at] && block.last_key[at] == key) return *block.last_corner[at];
+  }
+  block.last_key[slot] = key;
+  block.last_corner[slot] = &stand_ins_.at(key, lighting_);
+  return *block.last_corner[slot];
+}
+
+std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list_index,
+                                                  const CapturedLanes& captured) const {
   const GuidedBlock::Hit& hit = block.hits[index];
   const AcquiredLights& list = lighting_.lists()[list_index];
-  const std::size_t count = list.count(), pad = lightPad(list.count()), distant = lighting_.lights().distant.size();
-  const float gate = options_.model_alone ? 1 : hit.gate;
+  const std::size_t pad = lightPad(list.count());
+  const float gate = gateOf(hit);
   const bool off = options_.shadows == Shadows::off;
 
   const OrientationGrid::Blend blend = lighting_.sharedCorners(hit.query.look_up->acquisition_from_object);
@@ -296,158 +356,172 @@ void GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::ui
   float most = 0;
   for (int i = 0; i < 4; ++i) {
     if (!(blend.share[i] > 0)) continue;
-    const SharedStandIns::Corner& corner = stand_ins_.at({list_index, blend.corner[i]}, lighting_);
-    vectors[i] = corner.weights.data();
-    if (blend.share[i] > most) most = blend.share[i], nearest = &corner;
+    const SharedStandIns::Corner& at = corner(block, i, {list_index, blend.corner[i]});
+    vectors[i] = at.weights.data();
+    if (blend.share[i] > most) most = blend.share[i], nearest = &at;
   }
+
+  // What reaches the surface of each light, and of what lies about each captured one. What no ray was sent to is as
+  // the captured light about it, where that can tell; where photographs overrule the rays, these count as far less.
+  for (std::vector<float>* of : {&block.unasked, &block.asked, &block.offset}) of->resize(pad);
+  float correct = 0;
+  for (std::size_t i = 0; i < pad; ++i) {
+    const float lit = block.lit[i], disagree = off ? 0 : block.disagree[i];
+    correct = std::max(correct, disagree);
+    const float unasked = block.facing[i] > 0 ? lit : 1;
+    block.unasked[i] = unasked + disagree * (lit - unasked);
+    block.asked[i] = 1 - disagree;
+    block.offset[i] = disagree * lit;
+  }
+  block.positions.resize(distant_lanes_);
+  block.shown_energy.resize(distant_lanes_);
+  std::size_t count = 0;
+  std::array<float, 3> sum =
+      distantSums(hit.model, hit.model_view, {lanesOf(direction_), energy_.data(), channels(irradiance_)},
+                  block.sight.data() + index * row(), nearest->nearest.data(),
+                  {block.unasked.data(), correct > 0 ? block.asked.data() : nullptr, block.offset.data()},
+                  distant_lanes_, block.positions.data(), block.shown_energy.data(), count);
+  block.model_values += count;
+  for (float& channel : sum) channel *= gate;
+  if (options_.model_alone) return sum;
+
+  block.shown.assign(pad, 0);
+  block.all.assign(pad, 0);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::uint32_t k = block.positions[i], about = nearest->nearest[k];
+    block.shown[about] += block.shown_energy[k];
+    block.all[about] += energy_[k];
+  }
+
+  // The residual as it is, and the lit one: of each captured light as much as of the light about it is shown; together
+  // what reaches the surface.
   for (auto& vector : vectors)
     if (!vector) vector = nearest->weights.data();  // its share is 0
   block.shared.assign(3 * pad, 0);
   addBlend(block.shared.data(), blend.share, vectors, static_cast<int>(3 * pad));
-
-  // What reaches the surface of each light, and of what lies about each captured one.
-  block.toward.assign(2 * count, 0);  // energy shown, energy in all
-  float* const shown_about = block.toward.data();
-  float* const all_about = shown_about + count;
-  double reaching = 0;
-  for (std::size_t k = 0; k < distant; ++k) {
-    const std::size_t at = index * row_ + k;
-    const float cosine = dot3(hit.reflectance.normal, block.x[at], block.y[at], block.z[at]);
-    if (!(cosine > 0)) continue;
-    const std::uint32_t i = nearest->nearest[k];
-    const GuidedBlock::Captured& about = block.captured[i];
-    const float asked = block.visible[at];
-    float visible = asked < 0 ? about.facing > 0 ? about.lit : 1 : asked;
-    if (!off) visible += about.disagree * (about.lit - visible);
-    float energy = 0;
-    for (int c = 0; c < 3; ++c) {
-      block.reach[c][k] = gate * visible * irradiance_[c][k];
-      energy += irradiance_[c][k];
-    }
-    shown_about[i] += visible * energy;
-    all_about[i] += energy;
-    reaching += visible * energy;
-  }
-  if (options_.model_alone) return;
-
-  // The residual as it is, and the lit one: of each captured light as much as of the light about it is shown; together
-  // what reaches the surface.
-  double standing = 0;
-  block.amount_lit.assign(count, 0);
-  block.as_is.assign(count, 0);
-  const auto irradiance = [&](std::uint32_t i, int c) {
-    const double inverse = list.inverseIrradiance(i, hit.query.look_up->p)[c];
-    return inverse > 0 ? static_cast<float>(1 / inverse) : 0.f;
-  };
-  for (const std::uint32_t i : list.usable()) {
-    const float shown = all_about[i] > 0 ? shown_about[i] / all_about[i] : 1;
-    block.amount_lit[i] = block.captured[i].usable * shown;
-    if (!off) block.as_is[i] = hit.indirectUnder(all_about[i] > 0 ? shown : block.captured[i].lit);
-    for (int c = 0; c < 3; ++c) standing += block.amount_lit[i] * block.shared[c * pad + i] * irradiance(i, c);
-  }
-  const float scale = standing > 0 ? gate * static_cast<float>(std::min<double>(kMostRatio, reaching / standing)) : 0;
-  for (const std::uint32_t i : list.usable()) {
-    const float from_lit = (1 - block.as_is[i]) * scale * block.amount_lit[i], from_all = gate * block.as_is[i];
-    float* const amount = block.amounts[i].of;
-    for (int c = 0; c < 3; ++c) {
-      const float e = block.shared[c * pad + i] * irradiance(i, c);
-      amount[c] += (from_lit + from_all + 1 - gate) * e;
-      amount[4 + c] += (from_lit + from_all * block.captured[i].lit) * e;
-    }
-  }
+  const ResidualShares shares{gate,
+                              hit.indirect,
+                              hit.indirect_shadow,
+                              !off,
+                              block.shown.data(),
+                              block.all.data(),
+                              block.lit.data(),
+                              block.usable.data(),
+                              {block.shared.data(), block.shared.data() + pad, block.shared.data() + 2 * pad}};
+  residualAmounts(shares, captured, kMostRatio, pad, channels<float>(block.photograph), channels<float>(block.model));
+  return sum;
 }
 
 std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std::uint32_t list_index, LightGather& out,
                                      std::array<double, 3>& color) const {
   const GuidedBlock::Hit& hit = block.hits[index];
+  const FrameLights& lights = lighting_.lights();
   const AcquiredLights& list = lighting_.lists()[list_index];
-  const Point<AcquisitionSpace>& p = hit.query.look_up->p;
-  const std::size_t longest = std::max(row_, padded(std::max(list.count(), 1)));
-  std::array<float*, kModelTerms> terms;
-  for (int t = 0; t < kModelTerms; ++t) {
-    block.terms[t].resize(longest);
-    terms[t] = block.terms[t].data();
-  }
-  for (int c = 0; c < 3; ++c) {
-    block.used_direction[c].resize(longest);
-    block.used_amount[c].assign(longest, 0);
-  }
-  float* const use[3] = {block.used_direction[0].data(), block.used_direction[1].data(),
-                         block.used_direction[2].data()};
-  const auto use_light = [&](std::size_t to, const GuidedBlock::Captured& light) {
-    use[0][to] = light.x, use[1][to] = light.y, use[2][to] = light.z;
-  };
-  const auto coefficient = [&](int t, int c) { return double{hit.reflectance.coefficient[t][c]}; };
-
-  readCaptured(list, block, hit);
-  block.amounts.assign(list.count(), {});
-  for (auto& channel : block.reach) channel.assign(row_, 0);
-  const bool shares = lighting_.shares(list_index);
-  if (shares) spreadShared(block, index, list_index);
-  spread(block, index, list_index, shares ? lighting_.lights().distant.size() : 0);
+  const LookUp& look_up = *hit.query.look_up;
+  const std::size_t pad = lightPad(list.count()), near_count = lights.near_lights.size();
   double list_share = 0;
   for (const ChosenView& chosen : hit.query.chosen)
     if (list_of_view_[chosen.view] == list_index) list_share += chosen.weight;
+  const auto add = [&](double share, const std::array<float, 3>& sum) {
+    for (int c = 0; c < 3; ++c) color[c] += share * double{sum[c]};
+  };
 
-  // What reaches the eye by the model.
-  modelTerms(hit.reflectance, hit.view,
-             {block.x.data() + index * row_, block.y.data() + index * row_, block.z.data() + index * row_,
-              static_cast<int>(row_)},
-             terms);
-  block.model_values += row_;
-  for (int t = 0; t < kModelTerms; ++t)
-    for (int c = 0; c < 3; ++c)
-      color[c] += list_share * coefficient(t, c) * sumOfProducts(block.reach[c].data(), terms[t], row_);
-
-  // The photographs are divided by what their light gave; where a light is dark in a channel they hold nothing.
-  for (const std::uint32_t i : list.usable()) {
-    const Vec3 inverse = list.inverseIrradiance(i, p);
-    for (int c = 0; c < 3; ++c) {
-      block.amounts[i].of[c] *= static_cast<float>(inverse[c]);
-      if (!(inverse[c] > 0)) block.amounts[i].of[4 + c] = 0;
-    }
+  const CapturedLanes captured = readCaptured(list_index, block, hit);
+  for (int c = 0; c < 3; ++c) {
+    block.photograph[c].assign(pad, 0);
+    block.model[c].assign(pad, 0);
+    block.reach[c].assign(std::max(distant_lanes_, near_lanes_), 0);
   }
-  for (const RestLight& rest : lighting_.lights().rest) {  // a light of the capture itself: only the view differs
+  // What reaches the eye by the model, and what stands for it among the photographs.
+  if (lighting_.shares(list_index)) {
+    add(list_share, spreadShared(block, index, list_index, captured));
+  } else if (!lights.distant.empty()) {
+    for (std::size_t k = 0; k < lights.distant.size(); ++k) {
+      const std::array<float, 3> e{irradiance_[0][k], irradiance_[1][k], irradiance_[2][k]};
+      const float shown =
+          spread(block, hit, list_index, captured, look_up.acquisition_from_object * lights.distant[k].direction,
+                 dot3(hit.model.n, direction_[0][k], direction_[1][k], direction_[2][k]),
+                 static_cast<LightSight>(block.sight[index * row() + k]), e);
+      for (int c = 0; c < 3; ++c) block.reach[c][k] = shown * e[c];
+    }
+    add(list_share, modelSums(hit.model, &hit.model_view, 1, lanesOf(direction_), channels(std::as_const(block.reach)),
+                              distant_lanes_));
+    block.model_values += lights.distant.size();
+  }
+  if (near_count > 0) {
+    for (auto& channel : block.reach) std::fill(channel.begin(), channel.end(), 0.f);
+    const DirectionLanes l = lanesOf(block.near_direction, index * near_lanes_);
+    for (std::size_t k = 0; k < near_count; ++k) {
+      const std::array<float, 3> e = floats(block.near_irradiance[index * near_count + k]);
+      const Vector<ObjectSpace> to_light = lights.near_lights[k].position - hit.query.hit->p_star;
+      const Direction<ObjectSpace> direction =
+          normalize(to_light).value_or(look_up.acquisition_from_object.inverse() * look_up.normal);
+      const float shown = spread(block, hit, list_index, captured, look_up.acquisition_from_object * direction,
+                                 dot3(hit.model.n, l.x[k], l.y[k], l.z[k]),
+                                 static_cast<LightSight>(block.sight[index * row() + distant_lanes_ + k]), e);
+      for (int c = 0; c < 3; ++c) block.reach[c][k] = shown * e[c];
+    }
+    add(list_share, modelSums(hit.model, &hit.model_view, 1, l, channels(std::as_const(block.reach)), near_lanes_));
+    block.model_values += near_count;
+  }
+
+  for (const RestLight& rest : lights.rest) {  // a light of the capture itself: only the view differs
     const auto at = list.find(rest.light);
     if (!at) continue;
-    GuidedBlock::Amount& amount = block.amounts[*at];
-    const Vec3 inverse = list.inverseIrradiance(*at, p);
-    use_light(0, block.captured[*at]);
-    modelTerms(hit.reflectance, hit.view, {use[0], use[1], use[2], 1}, terms);
-    const float gate = options_.model_alone ? 1 : hit.gate;
+    std::array<std::vector<float>, 3> l, e;
+    const std::array<float, 3> direction{captured.direction.x[*at], captured.direction.y[*at],
+                                         captured.direction.z[*at]};
     for (int c = 0; c < 3; ++c) {
-      if (!options_.model_alone) amount.of[c] += static_cast<float>(rest.scale);
-      if (!(inverse[c] > 0)) continue;
-      const double lit = gate * rest.scale * block.captured[*at].lit / inverse[c];
-      for (int t = 0; t < kModelTerms; ++t) color[c] += list_share * coefficient(t, c) * lit * terms[t][0];
-      if (!options_.model_alone) amount.of[4 + c] += static_cast<float>(lit);
+      l[c].assign(kGuidedLanes, direction[c]);
+      e[c].assign(kGuidedLanes, 0);
+      e[c][0] = gateOf(hit) * static_cast<float>(rest.scale) * block.lit[*at] * captured.irradiance[c][*at];
+      if (!options_.model_alone) block.model[c][*at] += e[c][0];
     }
+    ModelOfPoint model = modelOfPoint(hit.reflectance);
+    const ModelView view = addView(model, hit.reflectance, floats(hit.query.view.raw()), 1);
+    add(list_share, modelSums(model, &view, 1, lanesOf(l), channels(std::as_const(e)), kGuidedLanes));
+    block.model_values += 1;
   }
 
+  // The photographs are divided by what their light gave; where a light is dark in a channel they hold nothing.
   // Only the captured lights that count are evaluated for the views.
   LightWeights weights;
   weights.first_entry = static_cast<std::uint32_t>(out.entries.size());
-  std::size_t used = 0;
-  for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(list.count()); ++i) {
-    const float* const amount = block.amounts[i].of;
-    const Rgb photograph{amount[0], amount[1], amount[2]}, model{amount[4], amount[5], amount[6]};
-    if (photograph != Rgb{}) out.entries.push_back({i, photograph});
-    if (model == Rgb{}) continue;
-    use_light(used, block.captured[i]);
-    for (int c = 0; c < 3; ++c) block.used_amount[c][used] = model[c];
-    ++used;
+  weights.own = static_cast<std::uint32_t>(out.own.size());
+  out.own.resize(out.own.size() + 3 * pad);
+  float* const own = out.own.data() + weights.own;
+  for (int c = 0; c < 3; ++c) {
+    block.used_direction[c].resize(pad);
+    block.used_amount[c].resize(pad);
   }
-  // What lies beyond, up to the kernel's width, has amount 0.
-  for (std::size_t i = used; i < padded(used); ++i) use[0][i] = use[1][i] = 0, use[2][i] = 1;
-  for (const ChosenView& chosen : hit.query.chosen) {
-    if (list_of_view_[chosen.view] != list_index || used == 0) continue;
-    const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(p).raw());
-    modelTerms(hit.reflectance, view, {use[0], use[1], use[2], static_cast<int>(used)}, terms);
-    block.model_values += padded(used);
-    for (int t = 0; t < kModelTerms; ++t)
-      for (int c = 0; c < 3; ++c)
-        color[c] -=
-            chosen.weight * coefficient(t, c) * sumOfProducts(block.used_amount[c].data(), terms[t], padded(used));
+  std::size_t photographs = 0;
+  const std::size_t used =
+      usedLights(captured, pad, channels(std::as_const(block.photograph)), channels(std::as_const(block.model)),
+                 {own, own + pad, own + 2 * pad},
+                 {channels<float>(block.used_direction), channels<float>(block.used_amount)}, photographs);
+  if (!options_.model_alone)
+    for (const RestLight& rest : lights.rest)
+      if (const auto at = list.find(rest.light))
+        for (int c = 0; c < 3; ++c) own[c * pad + *at] += static_cast<float>(rest.scale);
+  if (used > 0) {
+    ModelOfPoint model = modelOfPoint(hit.reflectance);
+    block.model_views.clear();
+    for (const ChosenView& chosen : hit.query.chosen) {
+      if (list_of_view_[chosen.view] != list_index) continue;
+      const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(look_up.p).raw());
+      block.model_views.push_back(addView(model, hit.reflectance, view, static_cast<float>(chosen.weight)));
+    }
+    add(-1, modelSums(model, block.model_views.data(), block.model_views.size(), lanesOf(block.used_direction),
+                      channels(std::as_const(block.used_amount)), guidedLanes(used)));
+    block.model_values += used * block.model_views.size();
+  }
+  if (photographs + lights.rest.size() <= LightGather::fewEntries(list.count())) {
+    for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(list.count()); ++i) {
+      const Rgb photograph{own[i], own[pad + i], own[2 * pad + i]};
+      if (photograph != Rgb{}) out.entries.push_back({i, photograph});
+    }
+    out.own.resize(weights.own);
+    weights.own = LightWeights::kNone;
   }
   return out.append(weights, list.count());
 }

@@ -19,6 +19,7 @@
 
 #include "model/deformed_model.h"
 #include "model/reflectance_fit.h"
+#include "render/guided_kernels.h"
 #include "render/light_weights.h"
 #include "render/look_up.h"
 #include "render/scene.h"
@@ -35,46 +36,50 @@ struct GuidedQuery {
   std::span<const ChosenView> chosen;  ///< weights sum 1
 };
 
-/// The hits of one block of pixels on their way, and memory for it.
+/// The hits of one block of pixels on their way, and memory for it. Arrays hold whole kernel widths (guidedLanes).
 struct GuidedBlock {
   struct Hit {
     GuidedQuery query;
     PointReflectance reflectance;
+    ModelOfPoint model;  ///< seen along v, object space
+    ModelView model_view;
     float gate = 0, indirect = 0, indirect_shadow = 0;
-    std::array<float, 3> view{};  ///< v
     /// FittedPoint::indirect for a light of which so much reaches the point.
     float indirectUnder(float visible) const { return indirect_shadow + visible * (indirect - indirect_shadow); }
   };
   std::vector<Hit> hits;
-  /// Of each hit and light of the frame (distant, then near; a row of GuidedLighting): direction in
-  /// acquisition space; irradiance on a plane facing it; how much of it reaches the point, below 0: not asked by a ray.
-  std::vector<float> x, y, z, visible;
-  std::vector<Vec3> near_irradiance;                ///< of each hit and near light
+  std::vector<std::int8_t> sight;  ///< LightSight of each hit and light of the frame (distant, then near)
+  /// Of each hit and near light: direction in object space; irradiance on a plane facing it.
+  std::array<std::vector<float>, 3> near_direction;
+  std::vector<Vec3> near_irradiance;
   std::uint64_t shadow_rays = 0, model_values = 0;  ///< cast, and evaluated (one for each light and view), so far
 
-  /// A captured light as one hit sees it.
+  /// A list of captured lights as one hit sees it, where they are not at infinity.
   struct Captured {
-    float x = 0, y = 0, z = 0;  ///< direction to it
-    float lit = 0;              ///< share of the hit's points that it lights
-    float facing = 0;           ///< 0 where it stands too low over the surface to tell anything, 1 where it does not
-    float usable = 0;  ///< whether it may stand for a light that lights the point: lit, also around, and facing
-    float inverse_cosine = 0;
-    float disagree = 0;  ///< how far photographs and rays differ on `lit`
+    std::array<std::vector<float>, 3> direction, irradiance, inverse;
+    std::vector<float> known;
+    void resize(std::size_t lanes);
+    CapturedLanes lanes() const;
   };
-  /// What a captured light is multiplied by: [r g b -] of the photographs, [r g b -] of the model's value of them.
-  struct Amount {
-    float of[8] = {};
-  };
-  // Memory of one hit.
-  std::vector<Captured> captured;
-  std::vector<Amount> amounts;              ///< of each captured light
-  std::array<std::vector<float>, 3> reach;  ///< of each light of the frame: irradiance that counts
-  std::array<std::vector<float>, kModelTerms> terms;
+  // Memory of one hit. Of each captured light: the share of the hit's points that it lights; 0 where it stands too low
+  // over the surface to tell anything, 1 where it does not; whether it may stand for a light that lights the point
+  // (lit, also around, and facing); how far photographs and rays differ on `lit`.
+  Captured captured;
+  std::vector<float> lit, facing, usable, disagree;
+  std::array<std::vector<float>, 3> photograph, model;  ///< what the photographs, and the model of them, count
+  std::array<std::vector<float>, 3> reach;              ///< of lights of the frame: irradiance that counts
   std::array<std::vector<float>, 3> used_direction, used_amount;  ///< of the captured lights that the residual uses
+  std::vector<float> unasked, asked, offset;                      ///< CapturedShadow
+  std::vector<float> shared, shown, all, keys, shown_energy;
+  std::vector<std::uint32_t> positions;
+  std::vector<ModelView> model_views;
+  std::array<SharedKey, 4> last_key;  ///< the corners that the hit before asked for
+  std::array<const SharedStandIns::Corner*, 4> last_corner{};
   std::vector<Penalised> order;
   std::vector<Weighted> weights;
-  std::vector<float> shared, toward, amount_lit, as_is;  ///< a blend of shared vectors; sums by captured light
-  std::vector<std::pair<float, std::uint32_t>> brightest;
+  // Memory of the shadow rays.
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> rays_wanted;  ///< (light, hit)
+  std::vector<std::uint32_t> ray_order, first_ray;
 };
 
 /// The lights of one frame, guided by the fit.
@@ -100,14 +105,28 @@ class GuidedLighting {
                        std::array<double, 3>& color) const;
 
  private:
+  /// What is the same for all hits of a list of distant captured lights; empty for another list.
+  struct List {
+    GuidedBlock::Captured captured;
+    bool in_order = false;  ///< light i of the list is column i of the bits
+  };
+  std::size_t row() const { return distant_lanes_ + near_lanes_; }
+  float gateOf(const GuidedBlock::Hit& hit) const { return options_.model_alone ? 1 : hit.gate; }
   void blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const;
   void castShadows(GuidedBlock& block) const;
-  void readCaptured(const AcquiredLights& list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
-  /// Spreads lights of the frame, from `first` on, over captured ones, each by itself: adds to block.amounts, fills
-  /// block.reach.
-  void spread(GuidedBlock& block, std::size_t index, std::uint32_t list, std::size_t first) const;
-  /// The same for all distant lights at once, by weights that hits of like orientation share.
-  void spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list) const;
+  /// Fills what the captured lights of a list say of a hit, and returns where they stand.
+  CapturedLanes readCaptured(std::uint32_t list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
+  void share(const VisibilityBits& bits, std::uint32_t list, const SurfaceHit& hit, std::vector<float>& shares) const;
+  /// Spreads one light over captured ones, by itself: adds to block.photograph and block.model, and returns how much of
+  /// it the model's part shows, the gate in it.
+  float spread(GuidedBlock& block, const GuidedBlock::Hit& hit, std::uint32_t list, const CapturedLanes& captured,
+               const Direction<AcquisitionSpace>& direction, float cosine, LightSight sight,
+               const std::array<float, 3>& irradiance) const;
+  /// The same for all distant lights at once, by weights that hits of like orientation share; returns what the model
+  /// gives for them.
+  std::array<float, 3> spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list,
+                                    const CapturedLanes& captured) const;
+  const SharedStandIns::Corner& corner(GuidedBlock& block, int slot, const SharedKey& key) const;
 
   const ReflectanceFit& fit_;
   const FrameLighting& lighting_;
@@ -116,8 +135,10 @@ class GuidedLighting {
   std::span<const SourceView> views_;
   std::span<const std::uint32_t> list_of_view_;
   Options options_;
+  std::vector<List> lists_;
   std::array<std::vector<float>, 3> irradiance_, direction_;  ///< of each distant light, object space
-  std::size_t row_;                                           ///< lights of the frame, padded for the kernel
+  std::vector<float> energy_;                                 ///< of each distant light
+  std::size_t distant_lanes_, near_lanes_;                    ///< lights of the frame, padded for the kernels
   double offset_;                                             ///< of shadow rays along the normal, units
   bool corrected_;                                            ///< photographs overruled the rays' bits somewhere
 };

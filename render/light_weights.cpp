@@ -37,8 +37,7 @@ const float* LightGather::vector(const LightWeights& w, int pad, float* scratch_
 
 std::uint32_t LightGather::append(LightWeights w, int lights) {
   w.entries = static_cast<std::uint32_t>(entries.size()) - w.first_entry;
-  // An entry costs an operation some ten times what a light of a vector does; and a vector is smaller.
-  if (w.entries > static_cast<std::uint32_t>(std::max(lights / 4, 16))) {
+  if (w.entries > fewEntries(lights)) {
     const int pad = lightPad(lights);
     w.own = static_cast<std::uint32_t>(own.size());
     own.resize(own.size() + 3 * static_cast<std::size_t>(pad), 0.f);

@@ -3,6 +3,7 @@
 // (deferred_shading.h).
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <memory>
@@ -64,6 +65,9 @@ struct LightGather {
   /// The weights as one vector of 3 * pad floats: a shared or own one, or `scratch_vector` where they had to be added
   /// up.
   const float* vector(const LightWeights& weights, int pad, float* scratch_vector) const;
+  /// An entry costs an operation some ten times what a light of a vector does, and a vector is smaller: for a list of
+  /// `lights` lights more entries than this become one.
+  static std::size_t fewEntries(int lights) { return static_cast<std::size_t>(std::max(lights / 4, 16)); }
   /// Ends a hit's weights for a list of `lights` lights, whose entries are all those from weights.first_entry on, and
   /// returns their handle.
   std::uint32_t append(LightWeights weights, int lights);

@@ -1,0 +1,123 @@
+// Sums of the fitted model over many lights of a hit, and what captured lights say of it: kernels of
+// guided_interpolation over plain arrays, one array an axis or channel. Arrays hold a multiple of kGuidedLanes; what
+// lies beyond their count is finite and has amount 0. The same bits in every instruction set: sums run in 16 lanes,
+// folded in halves.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+
+#include "base/vec.h"
+#include "model/reflectance_model.h"
+
+namespace srf {
+
+inline constexpr std::size_t kGuidedLanes = 16;
+constexpr std::size_t guidedLanes(std::size_t count) {
+  return (count + kGuidedLanes - 1) / kGuidedLanes * kGuidedLanes;
+}
+
+/// Unit directions to lights.
+struct DirectionLanes {
+  const float *x, *y, *z;
+};
+
+/// The fitted model of one point, and views of it, each with the share that it counts. In the space of the lights.
+struct ModelOfPoint {
+  std::array<float, 3> n, t, b;
+  float ax2, ay2, inverse_ax2, inverse_ay2;
+  std::array<float, 3> specular, fresnel;     ///< ks and kf
+  std::array<float, 3> lambert, transmitted;  ///< kd and kt, with what depends on the views alone
+  float lobe;                                 ///< of all views
+};
+struct ModelView {
+  std::array<float, 3> v;
+  float nv, tv, bv;
+  float share;  ///< with what else depends on the view alone
+};
+/// A point whose normal and tangent lie in acquisition space, without views.
+ModelOfPoint modelOfPoint(const PointReflectance& point);
+/// Adds a view in acquisition space. Where it counts by `share`.
+ModelView addView(ModelOfPoint& model, const PointReflectance& point, const std::array<float, 3>& view, float share);
+/// Turns both to another space. `to_lights`: orthogonal.
+void turn(ModelOfPoint& model, ModelView& view, const Mat3& to_lights);
+
+/// sum over views v and lights i of share_v amount[c][i] M_c(l_i, v), for each channel c. Error: at most 1e-4 of
+/// sum |share_v amount[c][i]| * (the sum of the largest values of each term over these lights).
+std::array<float, 3> modelSums(const ModelOfPoint& model, const ModelView* views, std::size_t view_count,
+                               const DirectionLanes& lights, const std::array<const float*, 3>& amount,
+                               std::size_t count);
+/// The same of one view in double, one light after the other by modelTermsReference: the oracle.
+std::array<double, 3> modelSumsReference(const PointReflectance& point, const std::array<float, 3>& view,
+                                         const DirectionLanes& lights, const std::array<const float*, 3>& amount,
+                                         std::size_t count);
+
+/// key[i] = max(n.l_i, 0) energy[i].
+void facingEnergy(const std::array<float, 3>& n, const DirectionLanes& lights, const float* energy, std::size_t count,
+                  float* key);
+/// The positions of the `most` largest keys above 0, or of all there are, rising; of equal ones the first. Returns how
+/// many; `position` holds `count` rounded up.
+std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position);
+
+/// What a ray found of a light that a hit faces.
+enum LightSight : std::int8_t { kNotAsked = -1, kHidden = 0, kInSight = 1 };
+
+/// The distant lights of a frame.
+struct DistantLanes {
+  DirectionLanes direction;
+  const float* energy;                     ///< sum of the channels of irradiance
+  std::array<const float*, 3> irradiance;  ///< on a plane facing the light
+};
+/// What the captured lights say of how much of a light about them reaches a hit: unasked[i] where no ray was sent,
+/// sight * asked[i] + offset[i] where one was.
+struct CapturedShadow {
+  const float *unasked, *asked, *offset;
+};
+/// The model's answer to all distant lights: sum over lights that the hit faces of shown irradiance[c] M_c, where
+/// `shown` is how much of the light reaches the hit by `sight` and by the captured light `about` it. Fills
+/// facing[] with the positions of the lights that the hit faces, rising, and at each of them shown * energy into
+/// shown_energy[]; returns in `facing_count` how many.
+std::array<float, 3> distantSums(const ModelOfPoint& model, const ModelView& view, const DistantLanes& lights,
+                                 const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow,
+                                 std::size_t count, std::uint32_t* facing, float* shown_energy,
+                                 std::size_t& facing_count);
+
+/// The captured lights of one list as hits see them.
+struct CapturedLanes {
+  DirectionLanes direction;
+  const float* known;                               ///< 1: of known direction, 0: not
+  std::array<const float*, 3> irradiance, inverse;  ///< on a plane facing the light, and 1 / it; 0 where it is dark
+};
+/// facing[i]: 0 where light i stands too low over the surface to tell anything of it, 1 where it does not; usable[i]
+/// *= facing[i], or, where no light is usable, = lit[i] facing[i]. Unknown lights get 0 in all three.
+void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, std::size_t count, float* lit,
+                    float* usable, float* facing);
+
+/// How the residual of a hit is taken from captured lights that stand for all distant ones together.
+struct ResidualShares {
+  float gate, indirect, indirect_shadow;
+  bool as_is;                          ///< whether any of it is taken as it is
+  const float *shown, *all;            ///< of the energy about each captured light: what is shown, and all
+  const float *lit, *usable;           ///< of each captured light
+  std::array<const float*, 3> weight;  ///< of each captured light, in its own irradiance
+};
+/// photograph[c][i], model[c][i]: irradiance by which captured light i counts in what photographs give and in what the
+/// model takes away. The lit lights are scaled to sum to what is shown, by at most `most_ratio`.
+void residualAmounts(const ResidualShares& shares, const CapturedLanes& lights, float most_ratio, std::size_t count,
+                     const std::array<float*, 3>& photograph, const std::array<float*, 3>& model);
+
+/// Ends the amounts of a hit: photograph[c] *= inverse[c], into out[c]; model[c] = 0 where inverse[c] is. Copies
+/// direction and model of the lights whose model is not 0 to `used`, one after the other and then amounts of 0 up to
+/// guidedLanes. Returns how many of these there are, and in `photographs` how many lights have a photograph.
+struct UsedLanes {
+  std::array<float*, 3> direction, model;
+};
+std::size_t usedLights(const CapturedLanes& lights, std::size_t count, const std::array<const float*, 3>& photograph,
+                       const std::array<const float*, 3>& model, const std::array<float*, 3>& out,
+                       const UsedLanes& used, std::size_t& photographs);
+
+/// shares[i] = min(1, sum over p of weight[p] * (bit i of rows[p])), points one after the other.
+void shareBits(const std::uint64_t* const* rows, const float* weight, int points, std::size_t count, float* shares);
+
+}  // namespace srf
