@@ -210,6 +210,7 @@ void GuidedLighting::readCaptured(const AcquiredLights& list, GuidedBlock& block
     light.lit = share(fit_.lit, *hit.query.hit, column);
     if (corrected_) light.disagree = std::fabs(light.lit - share(fit_.lit_by_rays, *hit.query.hit, column));
     light.usable = share(fit_.lit_around, *hit.query.hit, column);
+    if (!options_.model_alone) light.worse = share(fit_.worse, *hit.query.hit, column);
     any = any || light.usable > 0;
   }
   for (const std::uint32_t i : list.usable()) {
@@ -225,7 +226,6 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
   const GuidedBlock::Hit& hit = block.hits[index];
   const FrameLights& lights = lighting_.lights();
   const std::size_t distant_count = lights.distant.size(), near_count = lights.near_lights.size();
-  const float gate = options_.model_alone ? 1 : hit.gate;
   const bool off = options_.shadows == Shadows::off;
   const AcquiredLights& list = lighting_.lists()[list_index];
   const LookUp& look_up = *hit.query.look_up;
@@ -233,8 +233,6 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
     const std::size_t at = index * row_ + k;
     const float x = block.x[at], y = block.y[at], z = block.z[at];
     const float cosine = dot3(hit.reflectance.normal, x, y, z);
-    // Below the horizon only what is interpolated as it is could count.
-    if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0)) continue;
     const std::array<float, 3> e =
         floats(k < distant_count ? lights.distant[k].irradiance
                                  : block.near_irradiance[index * near_count + k - distant_count]);
@@ -244,7 +242,7 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
     list.nearest(direction, look_up.p, block.order, block.weights);
     // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
     // the nearest is.
-    float lit = 0, facing = 0, usable = 0, disagree = 0, nearest = 4;
+    float lit = 0, facing = 0, usable = 0, disagree = 0, worse = 0, nearest = 4;
     for (const auto& [i, weight] : block.weights) {
       const GuidedBlock::Captured& light = block.captured[i];
       const auto w = static_cast<float>(weight);
@@ -252,8 +250,12 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
       facing += w * light.facing;
       usable += w * light.usable;
       disagree += w * light.disagree;
+      worse += w * light.worse;
       nearest = std::min(nearest, square(x - light.x) + square(y - light.y) + square(z - light.z));
     }
+    const float gate = options_.model_alone ? 1 : hit.gate * (1 - std::min(worse, 1.f));
+    // Below the horizon only what is interpolated as it is could count.
+    if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0)) continue;
     const float asked = block.visible[at];
     const float captured = facing > 0 ? lit / facing : asked < 0 ? 1 : asked;
     float visible = asked < 0 ? captured : asked;
@@ -321,7 +323,7 @@ void GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::ui
     if (!off) visible += about.disagree * (about.lit - visible);
     float energy = 0;
     for (int c = 0; c < 3; ++c) {
-      block.reach[c][k] = gate * visible * irradiance_[c][k];
+      block.reach[c][k] = gate * (1 - about.worse) * visible * irradiance_[c][k];
       energy += irradiance_[c][k];
     }
     shown_about[i] += visible * energy;
@@ -345,13 +347,14 @@ void GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::ui
     if (!off) block.as_is[i] = hit.indirectUnder(all_about[i] > 0 ? shown : block.captured[i].lit);
     for (int c = 0; c < 3; ++c) standing += block.amount_lit[i] * block.shared[c * pad + i] * irradiance(i, c);
   }
-  const float scale = standing > 0 ? gate * static_cast<float>(std::min<double>(kMostRatio, reaching / standing)) : 0;
+  const float scale = standing > 0 ? static_cast<float>(std::min<double>(kMostRatio, reaching / standing)) : 0;
   for (const std::uint32_t i : list.usable()) {
-    const float from_lit = (1 - block.as_is[i]) * scale * block.amount_lit[i], from_all = gate * block.as_is[i];
+    const float guided = gate * (1 - block.captured[i].worse), from_all = guided * block.as_is[i];
+    const float from_lit = guided * (1 - block.as_is[i]) * scale * block.amount_lit[i];
     float* const amount = block.amounts[i].of;
     for (int c = 0; c < 3; ++c) {
       const float e = block.shared[c * pad + i] * irradiance(i, c);
-      amount[c] += (from_lit + from_all + 1 - gate) * e;
+      amount[c] += (from_lit + from_all + 1 - guided) * e;
       amount[4 + c] += (from_lit + from_all * block.captured[i].lit) * e;
     }
   }
@@ -414,7 +417,7 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
     const Vec3 inverse = list.inverseIrradiance(*at, p);
     use_light(0, block.captured[*at]);
     modelTerms(hit.reflectance, hit.view, {use[0], use[1], use[2], 1}, terms);
-    const float gate = options_.model_alone ? 1 : hit.gate;
+    const float gate = options_.model_alone ? 1 : hit.gate * (1 - block.captured[*at].worse);
     for (int c = 0; c < 3; ++c) {
       if (!options_.model_alone) amount.of[c] += static_cast<float>(rest.scale);
       if (!(inverse[c] > 0)) continue;

@@ -60,6 +60,7 @@ struct GuidedBlock {
     float usable = 0;  ///< whether it may stand for a light that lights the point: lit, also around, and facing
     float inverse_cosine = 0;
     float disagree = 0;  ///< how far photographs and rays differ on `lit`
+    float worse = 0;     ///< share of the hit's points where guidance about this light is worse than plain
   };
   /// What a captured light is multiplied by: [r g b -] of the photographs, [r g b -] of the model's value of them.
   struct Amount {
