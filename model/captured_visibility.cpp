@@ -64,8 +64,8 @@ double shadowRayOffset(const DeformableModel& model) {
 CapturedVisibility castCapturedVisibility(const SrfManifest& field, const DeformableModel& model,
                                           std::span<const Direction<AcquisitionSpace>> normals, Reporter& reporter) {
   const std::size_t points = model.size();
-  CapturedVisibility found{VisibilityBits(points, field.lights.size()), VisibilityBits(points, field.lights.size()),
-                           model.visible};
+  CapturedVisibility found{
+      VisibilityBits(points, field.lights.size()), {}, VisibilityBits(points, field.lights.size()), model.visible};
   const AcquisitionMesh surface = model.restMesh();
   const auto scene = RayScene<AcquisitionSpace>::ofTriangles(surface.positions, surface.triangles);
   const double offset = shadowRayOffset(model), reach = aroundReach(field, model);
@@ -138,6 +138,7 @@ CapturedVisibility castCapturedVisibility(const SrfManifest& field, const Deform
     }
     stage.advance(end - begin);
   });
+  found.lit_by_rays = found.lit;
   return found;
 }
 

@@ -1,5 +1,5 @@
 // *.srffit: "SRFFIT\0\0", u32 version, u32 bytes of the header, the header (JSON), then, little-endian: a record of 34
-// bytes for each point, and the rows of the four tables of bits, lit_by_rays only where it differs from lit. The
+// bytes for each point, and the rows of the five tables of bits, lit_by_rays only where it differs from lit. The
 // manifest holds the hash of the file.
 #include <algorithm>
 #include <bit>
@@ -21,7 +21,7 @@ namespace srf {
 namespace {
 
 constexpr char kMagic[8] = {'S', 'R', 'F', 'F', 'I', 'T', 0, 0};
-constexpr std::uint32_t kVersion = 2;
+constexpr std::uint32_t kVersion = 3;
 constexpr std::size_t kPrefix = sizeof kMagic + 2 * sizeof(std::uint32_t);
 constexpr std::size_t kMostRoughnesses = 256;
 
@@ -171,6 +171,7 @@ ReflectanceFit parseFit(const std::vector<std::byte>& bytes, const std::string& 
   fit.lit = take_bits(lights);
   fit.lit_around = take_bits(lights);
   fit.seen_around = take_bits(views);
+  fit.worse = take_bits(lights);
   fit.lit_by_rays = header["corrected"].boolean() ? take_bits(lights) : fit.lit;
   if (at != bytes.size()) throw damaged("has " + std::to_string(bytes.size() - at) + " bytes too many");
   return fit;
@@ -212,7 +213,7 @@ void storeFit(const std::filesystem::path& srf_folder, const ReflectanceFit& fit
   append(&header_bytes, sizeof header_bytes);
   append(text.data(), text.size());
   append(records.data(), records.size() * sizeof(Record));
-  for (const VisibilityBits* bits : {&fit.lit, &fit.lit_around, &fit.seen_around})
+  for (const VisibilityBits* bits : {&fit.lit, &fit.lit_around, &fit.seen_around, &fit.worse})
     append(bits->words().data(), 8 * bits->words().size());
   if (corrected) append(fit.lit_by_rays.words().data(), 8 * fit.lit_by_rays.words().size());
 

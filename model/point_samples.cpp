@@ -14,6 +14,10 @@ namespace {
 constexpr float kLeastLightCosine = 0.05f;  // n.l of a sample that is fitted to
 constexpr int kFewestSamples = 12;          // lit ones, for more than a Lambert term
 constexpr double kWorstCondition = 1e4;     // of the normal equations with columns of length 1
+constexpr unsigned kLambert = 1, kNoLobe = 3, kAll = (1u << kModelTerms) - 1;  // of the coefficients
+// A lobe stays where at most this share of the error without it is left: on a matt surface it would fit chance, and
+// narrow ones flare between the samples.
+constexpr double kLobePays = 0.95;
 // A sample next to an outline of shadow or occlusion may hold a pixel of the other side.
 constexpr float kOutlineShare = 0.05f;
 
@@ -81,6 +85,21 @@ bool wellConditioned(const NormalEquations<kModelTerms>& e) {
   return values[0] * kWorstCondition >= values[kModelTerms - 1];
 }
 
+// The best of the `usable` coefficients; returns the error over the square of the samples.
+double solve(const Sums& s, unsigned usable, PointReflectance& point) {
+  double error = s.square;
+  for (int c = 0; c < 3; ++c) {
+    const NormalEquations<kModelTerms>& e = s.equations[c];
+    const auto x = nonnegativeLeastSquares(e, usable);
+    for (int k = 0; k < kModelTerms; ++k) {
+      point.coefficient[k][c] = static_cast<float>(x[k]);
+      error -= 2 * x[k] * e.right[k];
+      for (int j = 0; j < kModelTerms; ++j) error += x[k] * x[j] * e.matrix[k][j];
+    }
+  }
+  return s.square > 0 ? std::max(error, 0.0) / s.square : 0;
+}
+
 }  // namespace
 
 void setFrame(PointReflectance& point, const Direction<AcquisitionSpace>& normal, double angle) {
@@ -136,7 +155,7 @@ void PointSamples::load(const FitInput& input, std::size_t i, const Direction<Ac
       l.count = static_cast<int>(ids.size());
       l.pad = (l.count + 7) / 8 * 8;
       for (std::vector<float>* row :
-           {&l.x, &l.y, &l.z, &l.cosine, &l.lit, &l.around, &l.inverse[0], &l.inverse[1], &l.inverse[2]})
+           {&l.x, &l.y, &l.z, &l.cosine, &l.lit, &l.by_ray, &l.around, &l.inverse[0], &l.inverse[1], &l.inverse[2]})
         row->assign(l.pad, 0.f);
       for (int k = 0; k < l.count; ++k) {
         const CaptureLight& light = input.field.lights[ids[k].value];
@@ -147,6 +166,7 @@ void PointSamples::load(const FitInput& input, std::size_t i, const Direction<Ac
         l.z[k] = static_cast<float>(direction.raw().z);
         l.cosine[k] = static_cast<float>(dot(normal, direction));
         l.lit[k] = l.cosine[k] > 0 && input.visibility.lit.get(i, ids[k].value);
+        l.by_ray[k] = l.cosine[k] > 0 && input.visibility.lit_by_rays.get(i, ids[k].value);
         l.around[k] = l.lit[k] > 0 && input.visibility.lit_around.get(i, ids[k].value);
         const Vec3 irradiance = light.irradianceAt(p);
         for (int c = 0; c < 3; ++c) l.inverse[c][k] = irradiance[c] > 0 ? static_cast<float>(1 / irradiance[c]) : 0.f;
@@ -224,28 +244,21 @@ void PointSamples::terms(const PointReflectance& point) {
   }
 }
 
-double PointSamples::solve(PointReflectance& point, const std::vector<float>& weights, bool lambert_only) {
-  const Sums s = sums(terms_, values_, weights);
-  const unsigned usable = lambert_only || !wellConditioned(s.equations[0]) ? 1u : (1u << kModelTerms) - 1;
-  double error = s.square;
-  for (int c = 0; c < 3; ++c) {
-    const NormalEquations<kModelTerms>& e = s.equations[c];
-    const auto x = nonnegativeLeastSquares(e, usable);
-    for (int k = 0; k < kModelTerms; ++k) {
-      point.coefficient[k][c] = static_cast<float>(x[k]);
-      error -= 2 * x[k] * e.right[k];
-      for (int j = 0; j < kModelTerms; ++j) error += x[k] * x[j] * e.matrix[k][j];
-    }
-  }
-  return s.square > 0 ? std::max(error, 0.0) / s.square : 0;
-}
-
-double PointSamples::fit(PointReflectance& point, int rounds) {
+double PointSamples::fit(PointReflectance& point, int rounds, bool lobe) {
   point.coefficient = {};
   if (lit_samples_ == 0) return 0;
   terms(point);
-  const bool lambert_only = lit_samples_ < kFewestSamples;
-  const double error = solve(point, weights_, lambert_only);
+  const auto told_apart = [this](const Sums& s) {
+    return lit_samples_ >= kFewestSamples && wellConditioned(s.equations[0]);
+  };
+  const Sums plain = sums(terms_, values_, weights_);
+  unsigned usable = told_apart(plain) ? kAll : kLambert;
+  const double error = solve(plain, usable, point);
+  if (rounds > 1 && usable == kAll) {
+    PointReflectance matt = point;
+    const double without = solve(plain, kNoLobe, matt);
+    if (!(lobe && error < kLobePays * without)) usable = kNoLobe, point = matt;
+  }
   for (int round = 1; round < rounds; ++round) {
     error_.resize(samples_), robust_.resize(samples_);
     double total = 0;
@@ -266,7 +279,8 @@ double PointSamples::fit(PointReflectance& point, int rounds) {
       const float ratio = scale > 0 ? error_[s] / scale : 0.f;
       robust_[s] = weights_[s] / (1 + ratio * ratio);
     }
-    solve(point, robust_, lambert_only);
+    const Sums robust = sums(terms_, values_, robust_);
+    solve(robust, told_apart(robust) ? usable : kLambert, point);
   }
   return error;
 }

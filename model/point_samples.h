@@ -47,7 +47,7 @@ class PointSamples {
     int count = 0, pad = 0;
     std::vector<float> x, y, z;                 ///< directions
     std::vector<float> cosine;                  ///< n.l
-    std::vector<float> lit, around;             ///< 0 or 1: CapturedVisibility
+    std::vector<float> lit, by_ray, around;     ///< 0 or 1: CapturedVisibility
     std::array<std::vector<float>, 3> inverse;  ///< 1 / irradiance; 0 in a dark channel
   };
   struct View {
@@ -72,14 +72,14 @@ class PointSamples {
   /// The best coefficients for normal, tangent and roughness of `point`, which receives them. `rounds`: 1 plain least
   /// squares, more: with outliers (shadow outlines, indirect light, registration) weighed down.
   /// Returns the weighted squared error over the weighted square of the samples, both of the plain weights.
-  double fit(PointReflectance& point, int rounds);
+  /// With more than one round a lobe stays only where it pays; without `lobe` there is none then.
+  double fit(PointReflectance& point, int rounds, bool lobe = true);
   /// The model at every sample: [channel][sample], for the `point` that fit() was last called with.
   void evaluate(const PointReflectance& point, std::array<std::vector<float>, 3>& model) const;
 
  private:
   void setWeights();
   void terms(const PointReflectance& point);
-  double solve(PointReflectance& point, const std::vector<float>& weights, bool lambert_only);
 
   std::vector<View> views_;
   std::vector<Lights> lights_;

@@ -10,8 +10,8 @@
 #include "base/parallel.h"
 #include "model/captured_visibility.h"
 #include "model/hull_correction.h"
-#include "model/light_holdout.h"
 #include "model/point_samples.h"
+#include "model/sample_holdout.h"
 
 namespace srf {
 namespace {
@@ -25,7 +25,12 @@ constexpr double kAnisotropyPays = 0.85;     // at most this share of the error 
 constexpr int kMostMaterials = 3;            // of roughness of their own
 constexpr double kMaterialPays = 0.85;       // one more leaves at most this share of the error
 constexpr float kMaterialsApart = 1.5f;      // ratio of their roughnesses at least
-constexpr int kRounds = 3;                   // of robust weights
+constexpr double kFewestWithLobe = 0.02;     // share of the points at which a lobe pays, for there to be one
+constexpr double kFresnelShare = 0.95;       // of the points have no larger kf than the largest believed ...
+constexpr float kFresnelSpread = 2;          // ... over this
+// Of plain's squared error under one light, and of its mean over the lights: more than both together is harm.
+constexpr double kHarm = 1.1, kSlack = 0.05;
+constexpr int kRounds = 3;  // of robust weights
 constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
 
 struct Roughness {
@@ -228,6 +233,38 @@ void chooseMaterial(const std::vector<Roughness>& materials, PointSamples& sampl
   }
 }
 
+// What the object's points together say of its lobe.
+struct Lobe {
+  bool pays = true;                                             // at more points than chance has it
+  float most_fresnel = std::numeric_limits<float>::infinity();  // kf that is believed of a point
+};
+
+// A point's own samples seldom come near grazing angles, so its kf alone may be anything; a lobe that pays at few
+// points is a lobe of shadow outlines and bent normals.
+Lobe findLobe(std::span<SearchPoint> points, const std::vector<Roughness>& materials) {
+  std::vector<float> fresnel(points.size(), -1);
+  parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      PointReflectance fitted;
+      chooseMaterial(materials, points[i].samples, points[i].normal, fitted);
+      points[i].samples.fit(fitted, kRounds);
+      const auto most = [&](int term) {
+        return *std::max_element(fitted.coefficient[term].begin(), fitted.coefficient[term].end());
+      };
+      if (most(2) > 0 || most(3) > 0) fresnel[i] = most(3);
+    }
+  });
+  std::erase_if(fresnel, [](float kf) { return kf < 0; });
+  Lobe lobe;
+  lobe.pays = static_cast<double>(fresnel.size()) > kFewestWithLobe * static_cast<double>(points.size());
+  if (!lobe.pays) return lobe;
+  const auto at =
+      fresnel.begin() + static_cast<std::ptrdiff_t>(kFresnelShare * static_cast<double>(fresnel.size() - 1));
+  std::nth_element(fresnel.begin(), at, fresnel.end());
+  if (*at > 0) lobe.most_fresnel = kFresnelSpread * *at;
+  return lobe;
+}
+
 // Normals and lit bits of a hull by the photographs.
 void correctHull(const FitInput& input, const std::vector<Roughness>& materials,
                  std::vector<Direction<AcquisitionSpace>>& normals, CapturedVisibility& visibility,
@@ -258,7 +295,7 @@ void correctHull(const FitInput& input, const std::vector<Roughness>& materials,
 }
 
 // The squared error with the residuals that the point takes.
-double guidedError(const HoldoutError& e, const FittedPoint& point) {
+double guidedError(const HoldoutError::Case& e, const FittedPoint& point) {
   return lerp(e.in_light.lit, e.in_light.indirect, double{point.indirect}) +
          lerp(e.in_shadow.lit, e.in_shadow.indirect, double{point.indirect_shadow});
 }
@@ -286,6 +323,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   const bool is_hull = model.shape == "hull";
 
   std::vector<Roughness> materials{Roughness()};
+  Lobe lobe;
   if (std::vector<SearchPoint> points = searchPoints(input, normals); points.empty()) {
     reporter.info("reflectance model: no point has " + std::to_string(kFewestSearchSamples) +
                   " lit samples, which a lobe would need; Lambert's law guides alone");
@@ -309,19 +347,21 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
     const RoughnessSearch anisotropic = searchAnisotropic(few, isotropic.best.x, reporter);
     const double before = mean({found.errors.begin(), found.errors.begin() + static_cast<std::ptrdiff_t>(few.size())});
     if (anisotropic.error < kAnisotropyPays * before) materials = {anisotropic.best};
+    lobe = findLobe(points, materials);
+    if (!lobe.pays) reporter.info("reflectance model: the object is matt; Lambert's law guides alone");
     stage.advance();
   }
 
   ReflectanceFit fit;
-  fit.lit_by_rays = visibility.lit;
   if (is_hull) correctHull(input, materials, normals, visibility, reporter);
   fit.points.resize(model.size());
+  fit.worse = VisibilityBits(model.size(), field.lights.size());
   std::vector<HoldoutError> errors(model.size());
   {
     Reporter::Stage stage(reporter, "fit: coefficients", model.size());
     parallelFor(model.size(), kChunk, [&](std::size_t begin, std::size_t end) {
       PointSamples point;
-      LightHoldout hold_out;
+      SampleHoldout hold_out;
       std::array<std::vector<float>, 3> values;
       for (std::size_t i = begin; i < end; ++i) {
         FittedPoint& fitted = fit.points[i];
@@ -330,34 +370,54 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
         point.load(input, i, normals[i]);
         if (point.litSamples() == 0) continue;
         chooseMaterial(materials, point, normals[i], fitted.reflectance);
-        point.fit(fitted.reflectance, kRounds);
+        point.fit(fitted.reflectance, kRounds, lobe.pays);
+        for (float& kf : fitted.reflectance.coefficient[3]) kf = std::min(kf, lobe.most_fresnel);
         point.evaluate(fitted.reflectance, values);
-        HoldoutError& e = errors[i] = hold_out(input, point, values);
+        HoldoutError e = hold_out(input, point, values);
         // The residual of all lights only where it is clearly the better one.
         const auto all_lights = [](const HoldoutError::Part& part) {
           return part.lit > 0 ? static_cast<float>(smoothstep(0, 0.1, 1 - std::sqrt(part.indirect / part.lit))) : 0.f;
         };
-        fitted.indirect = all_lights(e.in_light);
+        fitted.indirect = all_lights(e.all.light.in_light);
         // Indirect light is in most shadows; what is in a few is the outline of a shadow that a pixel has blurred.
         fitted.indirect_shadow =
-            all_lights(e.in_shadow) *
+            all_lights(e.all.light.in_shadow) *
             static_cast<float>(smoothstep(
                 0.2, 0.4, e.in_shadow.for_indirect / std::max(1.0, static_cast<double>(e.in_shadow.lights))));
-        const double plain = std::sqrt(e.plain), guided = std::sqrt(guidedError(e, fitted));
-        // Never worse than plain: 1 where guidance helps by 10 %, 0 where it harms by 5 %.
-        fitted.gate = plain > 0 ? static_cast<float>(smoothstep(0, 1, (1.05 * plain - guided) / (0.15 * plain))) : 0.f;
+        // Never worse than plain: 1 where guidance helps by 10 %, 0 where it harms by 5 %; under a captured light,
+        // where both return the photographs of a matt surface, 1 where it does not harm.
+        const auto gate = [&](const HoldoutError::Case& of, double open) {
+          const double plain = std::sqrt(of.plain), guided = std::sqrt(guidedError(of, fitted));
+          constexpr double shut = 1.05;
+          if (!(plain > 0)) return guided > 0 ? 0.0 : 1.0;
+          return smoothstep(0, 1, (shut * plain - guided) / ((shut - open) * plain));
+        };
+        fitted.gate =
+            static_cast<float>(std::min({gate(e.all.light, 0.9), gate(e.all.both, 0.9), gate(e.all.view, 1)}));
+        const double lights_asked = std::max<double>(1, e.by_light.size());
+        const auto harmed = [&](const HoldoutError::Case& one, const HoldoutError::Case& all) {
+          return guidedError(one, fitted) > kHarm * one.plain + kSlack * all.plain / lights_asked;
+        };
+        for (const auto& [light, cases] : e.by_light)
+          if (harmed(cases.light, e.all.light) || harmed(cases.both, e.all.both) || harmed(cases.view, e.all.view) ||
+              harmed(cases.beside, e.all.beside))
+            fit.worse.set(i, light.value);
+        e.by_light = {};
+        errors[i] = std::move(e);
       }
       stage.advance(end - begin);
     });
   }
   double plain = 0, guided = 0, square = 0;
   for (std::size_t i = 0; i < model.size(); ++i) {
-    plain += errors[i].plain;
-    guided += lerp(errors[i].plain, guidedError(errors[i], fit.points[i]), double{fit.points[i].gate});
+    plain += errors[i].all.light.plain;
+    guided +=
+        lerp(errors[i].all.light.plain, guidedError(errors[i].all.light, fit.points[i]), double{fit.points[i].gate});
     square += errors[i].square;
   }
   if (square > 0) fit.error_plain = std::sqrt(plain / square), fit.error_guided = std::sqrt(guided / square);
   fit.lit = std::move(visibility.lit);
+  fit.lit_by_rays = std::move(visibility.lit_by_rays);
   fit.lit_around = std::move(visibility.lit_around);
   fit.seen_around = std::move(visibility.seen_around);
   reporter.figure("fit.error_plain", fit.error_plain);

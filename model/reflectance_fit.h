@@ -34,6 +34,9 @@ struct ReflectanceFit {
   VisibilityBits lit_around;
   /// Views (ViewId) that see the point and also the points one or two capture pixels around.
   VisibilityBits seen_around;
+  /// Captured lights (LightId) about which guidance does worse at the point than plain interpolation, which holds
+  /// there.
+  VisibilityBits worse;
   // How well it holds, over all points that have samples: root mean square of the relative leave-one-light-out error.
   double error_plain = 0, error_guided = 0;
 };

@@ -277,6 +277,10 @@ CapturedLanes GuidedLighting::readCaptured(std::uint32_t list_index, GuidedBlock
     for (std::size_t i = 0; i < lanes; ++i)
       block.disagree[i] = captured.known[i] * std::fabs(block.lit[i] - block.disagree[i]);
   }
+  block.gate.assign(lanes, 0);
+  if (!options_.model_alone) share(fit_.worse, list_index, *hit.query.hit, block.gate);
+  block.same_gate = std::all_of(block.gate.begin(), block.gate.end(), [](float worse) { return worse == 0; });
+  for (float& gate : block.gate) gate = gateOf(hit) * (1 - gate);
   facingCaptured(hit.reflectance.normal, captured, lanes, block.lit.data(), block.usable.data(), block.facing.data());
   return captured;
 }
@@ -284,22 +288,22 @@ CapturedLanes GuidedLighting::readCaptured(std::uint32_t list_index, GuidedBlock
 float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, std::uint32_t list_index,
                              const CapturedLanes& captured, const Direction<AcquisitionSpace>& direction, float cosine,
                              LightSight sight, const std::array<float, 3>& e) const {
-  const float gate = gateOf(hit);
   const bool off = options_.shadows == Shadows::off;
   // Below the horizon only what is interpolated as it is could count.
-  if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0)) return 0;
+  if (!(cosine > 0) && block.same_gate && gateOf(hit) >= 1 && !(hit.indirect_shadow > 0)) return 0;
   lighting_.lists()[list_index].nearest(direction, hit.query.look_up->p, block.order, block.weights);
   const std::array<float, 3> l = floats(direction.raw());
   const auto [x, y, z] = captured.direction;
   // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
   // the nearest is.
-  float lit = 0, facing = 0, usable = 0, disagree = 0, nearest = 4;
+  float lit = 0, facing = 0, usable = 0, disagree = 0, gate = 0, nearest = 4;
   for (const auto& [i, weight] : block.weights) {
     const auto w = static_cast<float>(weight);
     lit += w * block.facing[i] * block.lit[i];
     facing += w * block.facing[i];
     usable += w * block.usable[i];
     disagree += w * block.disagree[i];
+    gate += w * block.gate[i];
     nearest = std::min(nearest, square(l[0] - x[i]) + square(l[1] - y[i]) + square(l[2] - z[i]));
   }
   if (!off && !(cosine > 0)) sight = kHidden;
@@ -347,7 +351,6 @@ std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_
   const GuidedBlock::Hit& hit = block.hits[index];
   const AcquiredLights& list = lighting_.lists()[list_index];
   const std::size_t pad = lightPad(list.count());
-  const float gate = gateOf(hit);
   const bool off = options_.shadows == Shadows::off;
 
   const OrientationGrid::Blend blend = lighting_.sharedCorners(hit.query.look_up->acquisition_from_object);
@@ -379,10 +382,12 @@ std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_
   std::array<float, 3> sum =
       distantSums(hit.model, hit.model_view, {lanesOf(direction_), energy_.data(), channels(irradiance_)},
                   block.sight.data() + index * row(), nearest->nearest.data(),
-                  {block.unasked.data(), correct > 0 ? block.asked.data() : nullptr, block.offset.data()},
+                  {block.unasked.data(), correct > 0 ? block.asked.data() : nullptr, block.offset.data(),
+                   block.same_gate ? nullptr : block.gate.data()},
                   distant_lanes_, block.positions.data(), block.shown_energy.data(), count);
   block.model_values += count;
-  for (float& channel : sum) channel *= gate;
+  if (block.same_gate)
+    for (float& channel : sum) channel *= gateOf(hit);
   if (options_.model_alone) return sum;
 
   block.shown.assign(pad, 0);
@@ -399,12 +404,12 @@ std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_
     if (!vector) vector = nearest->weights.data();  // its share is 0
   block.shared.assign(3 * pad, 0);
   addBlend(block.shared.data(), blend.share, vectors, static_cast<int>(3 * pad));
-  const ResidualShares shares{gate,
-                              hit.indirect,
+  const ResidualShares shares{hit.indirect,
                               hit.indirect_shadow,
                               !off,
                               block.shown.data(),
                               block.all.data(),
+                              block.gate.data(),
                               block.lit.data(),
                               block.usable.data(),
                               {block.shared.data(), block.shared.data() + pad, block.shared.data() + 2 * pad}};
@@ -474,7 +479,7 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
     for (int c = 0; c < 3; ++c) {
       l[c].assign(kGuidedLanes, direction[c]);
       e[c].assign(kGuidedLanes, 0);
-      e[c][0] = gateOf(hit) * static_cast<float>(rest.scale) * block.lit[*at] * captured.irradiance[c][*at];
+      e[c][0] = block.gate[*at] * static_cast<float>(rest.scale) * block.lit[*at] * captured.irradiance[c][*at];
       if (!options_.model_alone) block.model[c][*at] += e[c][0];
     }
     ModelOfPoint model = modelOfPoint(hit.reflectance);

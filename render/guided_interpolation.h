@@ -63,9 +63,11 @@ struct GuidedBlock {
   };
   // Memory of one hit. Of each captured light: the share of the hit's points that it lights; 0 where it stands too low
   // over the surface to tell anything, 1 where it does not; whether it may stand for a light that lights the point
-  // (lit, also around, and facing); how far photographs and rays differ on `lit`.
+  // (lit, also around, and facing); how far photographs and rays differ on `lit`; how far guidance about it is trusted,
+  // and whether it is the same for all.
   Captured captured;
-  std::vector<float> lit, facing, usable, disagree;
+  std::vector<float> lit, facing, usable, disagree, gate;
+  bool same_gate = true;
   std::array<std::vector<float>, 3> photograph, model;  ///< what the photographs, and the model of them, count
   std::array<std::vector<float>, 3> reach;              ///< of lights of the frame: irradiance that counts
   std::array<std::vector<float>, 3> used_direction, used_amount;  ///< of the captured lights that the residual uses

@@ -179,8 +179,9 @@ void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& l
       for (unsigned rest = bitsOf(f, faces); rest; rest &= rest - 1)
         facing[found++] = static_cast<std::uint32_t>(at + std::countr_zero(rest));
       if (hn::AllTrue(f, hn::Eq(shown, hn::Zero(f)))) continue;
+      const V counts = shadow.trusted ? hn::Mul(shown, hn::GatherIndex(f, shadow.trusted, near)) : shown;
       values(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
-        sum[c][p] = hn::MulAdd(hn::Mul(shown, hn::LoadU(f, lights.irradiance[c] + at)), value, sum[c][p]);
+        sum[c][p] = hn::MulAdd(hn::Mul(counts, hn::LoadU(f, lights.irradiance[c] + at)), value, sum[c][p]);
       });
     }
   facing_count = found;
@@ -243,13 +244,13 @@ void residual(const ResidualShares& s, const CapturedLanes& lights, float most_r
       reaching[p] = hn::Add(reaching[p], hn::LoadU(f, s.shown + i + p * kLanes));
     }
   const float stands = fold(standing), reaches = fold(reaching);
-  const V scale = hn::Set(f, stands > 0 ? s.gate * std::min(most_ratio, reaches / stands) : 0.f);
+  const V scale = hn::Set(f, stands > 0 ? std::min(most_ratio, reaches / stands) : 0.f);
   for (std::size_t i = 0; i < count; i += kLanes) {
     const Light light = read(i);
-    const V known = hn::LoadU(f, lights.known + i);
-    const V from_lit = hn::Mul(hn::Mul(hn::Sub(one, light.as_is), scale), light.amount_lit);
-    const V from_all = hn::Mul(hn::Set(f, s.gate), light.as_is);
-    const V given = hn::Mul(known, hn::Add(hn::Add(from_lit, from_all), hn::Set(f, 1 - s.gate)));
+    const V known = hn::LoadU(f, lights.known + i), gate = hn::LoadU(f, s.gate + i);
+    const V from_lit = hn::Mul(gate, hn::Mul(hn::Mul(hn::Sub(one, light.as_is), scale), light.amount_lit));
+    const V from_all = hn::Mul(gate, light.as_is);
+    const V given = hn::Mul(known, hn::Add(hn::Add(from_lit, from_all), hn::Sub(one, gate)));
     const V taken = hn::Mul(known, hn::MulAdd(from_all, light.lit, from_lit));
     for (int c = 0; c < 3; ++c) {
       hn::StoreU(hn::Mul(given, light.irradiance[c]), f, photograph[c] + i);

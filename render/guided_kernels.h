@@ -70,14 +70,15 @@ struct DistantLanes {
   std::array<const float*, 3> irradiance;  ///< on a plane facing the light
 };
 /// What the captured lights say of how much of a light about them reaches a hit: unasked[i] where no ray was sent,
-/// sight * asked[i] + offset[i] where one was.
+/// sight * asked[i] + offset[i] where one was (asked null: sight alone); and how far the model is trusted about them
+/// (null: wholly).
 struct CapturedShadow {
-  const float *unasked, *asked, *offset;
+  const float *unasked, *asked, *offset, *trusted;
 };
 /// The model's answer to all distant lights: sum over lights that the hit faces of shown irradiance[c] M_c, where
 /// `shown` is how much of the light reaches the hit by `sight` and by the captured light `about` it. Fills
 /// facing[] with the positions of the lights that the hit faces, rising, and at each of them shown * energy into
-/// shown_energy[]; returns in `facing_count` how many.
+/// shown_energy[]; returns in `facing_count` how many. Only the sum counts less where the model is trusted less.
 std::array<float, 3> distantSums(const ModelOfPoint& model, const ModelView& view, const DistantLanes& lights,
                                  const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow,
                                  std::size_t count, std::uint32_t* facing, float* shown_energy,
@@ -96,10 +97,10 @@ void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, 
 
 /// How the residual of a hit is taken from captured lights that stand for all distant ones together.
 struct ResidualShares {
-  float gate, indirect, indirect_shadow;
+  float indirect, indirect_shadow;
   bool as_is;                          ///< whether any of it is taken as it is
   const float *shown, *all;            ///< of the energy about each captured light: what is shown, and all
-  const float *lit, *usable;           ///< of each captured light
+  const float *gate, *lit, *usable;    ///< of each captured light
   std::array<const float*, 3> weight;  ///< of each captured light, in its own irradiance
 };
 /// photograph[c][i], model[c][i]: irradiance by which captured light i counts in what photographs give and in what the

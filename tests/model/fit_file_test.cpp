@@ -48,12 +48,13 @@ struct Stored {
       point.reflectance.alpha_x = rough ? 0.5f : 0.1f, point.reflectance.alpha_y = rough ? 0.5f : 0.25f;
       point.gate = uniform(), point.indirect = uniform(), point.indirect_shadow = uniform();
     }
-    fit.lit = fit.lit_around = VisibilityBits(model.size(), 70);
+    fit.lit = fit.lit_around = fit.worse = VisibilityBits(model.size(), 70);
     fit.seen_around = VisibilityBits(model.size(), 5);
     for (std::size_t i = 0; i < model.size(); ++i) {
       for (std::size_t k = 0; k < 70; ++k) {
         if (random() % 2) fit.lit.set(i, k);
         if (random() % 2) fit.lit_around.set(i, k);
+        if (random() % 2) fit.worse.set(i, k);
       }
       for (std::size_t k = 0; k < 5; ++k)
         if (random() % 2) fit.seen_around.set(i, k);
@@ -92,6 +93,7 @@ void expectSame(const ReflectanceFit& found, const ReflectanceFit& fit) {
   EXPECT_EQ(found.lit_by_rays.words(), fit.lit_by_rays.words());
   EXPECT_EQ(found.lit_around.words(), fit.lit_around.words());
   EXPECT_EQ(found.seen_around.words(), fit.seen_around.words());
+  EXPECT_EQ(found.worse.words(), fit.worse.words());
   EXPECT_EQ(found.error_plain, fit.error_plain);
   EXPECT_EQ(found.error_guided, fit.error_guided);
 }

@@ -44,7 +44,7 @@ Vec3 oddity(const Vec3& n, const Vec3& l, const Vec3& v) {
 ReflectanceFit fitOf(const test::FormulaField& field, float gate) {
   const DeformableModel& model = field.model;
   ReflectanceFit fit;
-  fit.lit = fit.lit_by_rays = fit.lit_around = VisibilityBits(model.size(), field.manifest.lights.size());
+  fit.lit = fit.lit_by_rays = fit.lit_around = fit.worse = VisibilityBits(model.size(), field.manifest.lights.size());
   fit.seen_around = model.visible;
   for (std::size_t i = 0; i < model.size(); ++i) {
     const Vec3 n = rotationFromRodrigues(model.r0[i]).raw().column(2);

@@ -105,11 +105,12 @@ TEST(GuidedKernels, DistantLightsCountAsTheyAreSeenOrAsTheCapturedLightAboutThem
     const PointReflectance point = randomPoint(random);
     ModelOfPoint model = modelOfPoint(point);
     const ModelView view = addView(model, point, floats(randomDirection(random)), 1);
-    std::vector<float> energy(lanes, 0), unasked, asked, offset, shown_energy(lanes, -1);
+    std::vector<float> energy(lanes, 0), unasked, asked, offset, trusted, shown_energy(lanes, -1);
     std::vector<std::int8_t> sight(lanes, kNotAsked);
     std::vector<std::uint32_t> about(lanes, 0), facing(lanes);
     for (int i = 0; i < 16; ++i) {
       unasked.push_back(0.05f * i), asked.push_back(1 - 0.01f * i), offset.push_back(0.005f * i);
+      trusted.push_back(0.06f * i);
     }
     for (std::size_t i = 0; i < lights.count; ++i) {
       energy[i] = lights.amount[0][i] + lights.amount[1][i] + lights.amount[2][i];
@@ -118,9 +119,10 @@ TEST(GuidedKernels, DistantLightsCountAsTheyAreSeenOrAsTheCapturedLightAboutThem
     }
     const bool corrected = trial % 2;
     std::size_t count = 0;
-    const auto got = distantSums(model, view, {lights.lanes(), energy.data(), constant(lights.amount)}, sight.data(),
-                                 about.data(), {unasked.data(), corrected ? asked.data() : nullptr, offset.data()},
-                                 lanes, facing.data(), shown_energy.data(), count);
+    const auto got = distantSums(
+        model, view, {lights.lanes(), energy.data(), constant(lights.amount)}, sight.data(), about.data(),
+        {unasked.data(), corrected ? asked.data() : nullptr, offset.data(), trial % 3 ? trusted.data() : nullptr},
+        lanes, facing.data(), shown_energy.data(), count);
     std::vector<std::uint32_t> want_facing;
     for (std::uint32_t i = 0; i < lights.count; ++i) {
       const double cosine = double{point.normal[0]} * lights.direction[0][i] +
@@ -135,7 +137,7 @@ TEST(GuidedKernels, DistantLightsCountAsTheyAreSeenOrAsTheCapturedLightAboutThem
         want_facing.push_back(i);
         ASSERT_NEAR(shown_energy[i], shown * energy[i], 1e-6 * energy[i]);
       }
-      for (int c = 0; c < 3; ++c) lights.amount[c][i] *= cosine > 0 ? shown : 0;
+      for (int c = 0; c < 3; ++c) lights.amount[c][i] *= cosine > 0 ? shown * (trial % 3 ? trusted[about[i]] : 1) : 0;
     }
     ASSERT_EQ(std::vector(facing.begin(), facing.begin() + static_cast<std::ptrdiff_t>(count)), want_facing);
     const auto want = modelSums(model, &view, 1, lights.lanes(), constant(lights.amount), lanes);

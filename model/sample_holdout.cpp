@@ -1,0 +1,216 @@
+#include "model/sample_holdout.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/numeric.h"
+
+namespace srf {
+namespace {
+
+// As rendering has them by default (render/guided_interpolation.cpp, render/view_selection.cpp).
+constexpr int kLights = 4, kGuidedLights = 3, kViews = 4;
+constexpr float kLowest = 0.05f, kLowEnough = 0.12f;  // n.l of a light whose residual is used
+constexpr float kCosine = 0.1f, kMostRatio = 2;
+constexpr float kFade = 0.25f;
+constexpr float kLeastForeshortening = 0.05f;
+constexpr float kSurelyAverted = -0.1f;  // n.l of a light whose picture is no outline's
+constexpr float kMuchBetter = 0.7f;      // of the squared error
+constexpr double kBesideError = 0.25;    // of plain's squared error, half way to the light that was left out
+constexpr int kChannels = 4;             // of a view in a row: red, green, blue and none
+
+}  // namespace
+
+void SampleHoldout::transpose(const PointSamples& samples, const std::array<std::vector<float>, 3>& model,
+                              std::size_t lights) {
+  views_.clear();
+  for (const PointSamples::View& view : samples.views())
+    if (view.lights == lights) views_.push_back(&view);
+  const int count = samples.lights()[lights].count;
+  half_ = (static_cast<int>(views_.size()) * kChannels + 7) / 8 * 8;
+  width_ = 2 * half_;
+  for (std::vector<float>* rows : {&value_, &model_, &residual_, &weight_})
+    rows->assign(static_cast<std::size_t>(width_) * count, 0.f);
+  const auto& inverse = samples.lights()[lights].inverse;
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    const float weight = std::max(views_[v]->cosine, 0.f);
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < count; ++k) {
+        const int s = views_[v]->first + k;
+        const std::size_t to = static_cast<std::size_t>(k) * width_ + kChannels * v + c;
+        const float usable = inverse[c][k] > 0 ? samples.usable()[s] : 0.f;
+        value_[to] = samples.values()[c][s];
+        model_[to] = model[c][s];
+        residual_[to] = usable * (value_[to] - model_[to]);
+        weight_[to] = usable * weight;
+      }
+  }
+}
+
+void SampleHoldout::foretell(int lights) {
+  sources_.clear();
+  const int views = static_cast<int>(views_.size());
+  for (int to = 0; to < views && views > 1; ++to) {
+    const auto& v = views_[to]->direction;
+    candidates_.clear();
+    for (int from = 0; from < views; ++from) {
+      if (from == to) continue;
+      const auto& u = views_[from]->direction;
+      const double chord2 = square(double{v[0]} - u[0]) + square(double{v[1]} - u[1]) + square(double{v[2]} - u[2]);
+      const double usable = std::sqrt(std::max(views_[from]->cosine, kLeastForeshortening));
+      candidates_.push_back({viewPenalty(2 * std::asin(std::min(1.0, 0.5 * std::sqrt(chord2))), 0, usable),
+                             static_cast<std::uint32_t>(from)});
+    }
+    lumigraphWeights(candidates_, kViews, weights_);
+    for (const Weighted& w : weights_)
+      sources_.push_back({to, static_cast<int>(w.source), static_cast<float>(w.weight)});
+  }
+  for (int k = 0; k < lights; ++k) {
+    const std::size_t row = static_cast<std::size_t>(k) * width_;
+    for (const Source& s : sources_)
+      for (int c = 0; c < kChannels; ++c) {
+        const std::size_t to = row + half_ + kChannels * s.to + c, from = row + kChannels * s.from + c;
+        value_[to] += s.weight * value_[from];
+        residual_[to] += s.weight * residual_[from];
+        model_[to] = model_[row + kChannels * s.to + c];
+        weight_[to] = weight_[row + kChannels * s.to + c];
+      }
+  }
+}
+
+void SampleHoldout::nearest(const LightLists::List& list, const PointSamples::Lights& lights, int i,
+                            std::vector<Weighted>& weights) {
+  constexpr std::size_t wanted = kLights + 1;
+  const auto known = [&](std::uint32_t k) { return lights.x[k] != 0 || lights.y[k] != 0 || lights.z[k] != 0; };
+  const auto chord2 = [&](std::uint32_t other) {
+    return square(double{lights.x[i]} - lights.x[other]) + square(double{lights.y[i]} - lights.y[other]) +
+           square(double{lights.z[i]} - lights.z[other]);
+  };
+  candidates_.clear();
+  if (list.distant) {  // by rising angle
+    for (const std::uint32_t other : list.others[i]) {
+      candidates_.push_back({chord2(other), other});
+      if (candidates_.size() == wanted) break;
+    }
+  } else {
+    for (std::uint32_t other = 0; other < static_cast<std::uint32_t>(lights.count); ++other) {
+      if (other == static_cast<std::uint32_t>(i) || !known(other)) continue;
+      const Penalised found{chord2(other), other};
+      if (candidates_.size() < wanted)
+        candidates_.push_back(found);
+      else if (found < candidates_.back())
+        candidates_.back() = found;
+      else
+        continue;
+      for (std::size_t at = candidates_.size() - 1; at > 0 && candidates_[at] < candidates_[at - 1]; --at)
+        std::swap(candidates_[at], candidates_[at - 1]);
+    }
+  }
+  for (Penalised& c : candidates_) c.penalty = 2 * std::asin(std::min(1.0, 0.5 * std::sqrt(c.penalty)));
+  lumigraphWeights(candidates_, kLights, weights);
+}
+
+HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples& samples,
+                                       const std::array<std::vector<float>, 3>& model) {
+  HoldoutError error;
+  for (std::size_t l = 0; l < samples.lights().size(); ++l) {
+    const PointSamples::Lights& lights = samples.lights()[l];
+    const LightLists::List& list = input.lists.lists[lights.list];
+    transpose(samples, model, l);
+    foretell(lights.count);
+    const auto known = [&](std::uint32_t k) { return lights.x[k] != 0 || lights.y[k] != 0 || lights.z[k] != 0; };
+    bool any_around = false;
+    for (int k = 0; k < lights.count; ++k) any_around = any_around || lights.around[k] > 0;
+    usable_.assign(lights.count, 0.f);
+    for (int k = 0; k < lights.count; ++k)
+      usable_[k] = (any_around ? lights.around[k] : lights.lit[k]) *
+                   static_cast<float>(smoothstep(kLowest, kLowEnough, lights.cosine[k]));
+    for (int i = 0; i < lights.count; ++i) {
+      if (!known(i)) continue;
+      nearest(list, lights, i, plain_);
+      if (plain_.empty()) continue;  // a lone light: nothing could stand in for it
+      // Whether the light reaches the point: by the ray, corrected by the lights about it as rendering does; what the
+      // photographs under the light itself say is left out.
+      float usable = 0, visible = lights.by_ray[i];
+      double disagree = 0, lit_there = 0;
+      for (const Weighted& w : plain_) {
+        const bool differs = lights.lit[w.source] != lights.by_ray[w.source];
+        disagree += differs ? w.weight : 0;
+        lit_there += differs ? w.weight * lights.lit[w.source] : 0;
+        usable += static_cast<float>(w.weight) * usable_[w.source];
+      }
+      if (disagree > 0) visible = static_cast<float>((1 - disagree) * visible + lit_there);
+      if (!(lights.cosine[i] > 0)) visible = 0;
+      const float relit = usable > 0 ? visible * static_cast<float>(smoothstep(0, kFade, usable)) / usable : 0.f;
+
+      plain_row_.assign(width_, 0.f), lit_row_.assign(width_, 0.f), indirect_row_.assign(width_, 0.f);
+      const auto add = [&](std::vector<float>& row, const std::vector<float>& from, std::size_t light, float w) {
+        if (w == 0) return;
+        const float* values = &from[light * width_];
+        for (int x = 0; x < width_; ++x) row[x] += w * values[x];
+      };
+      for (const Weighted& w : plain_) {
+        const auto weight = static_cast<float>(w.weight);
+        add(plain_row_, value_, w.source, weight);
+        add(indirect_row_, lights.lit[w.source] > 0 ? residual_ : value_, w.source, weight);
+        const float ratio = std::min(kMostRatio, lights.cosine[i] / std::max(lights.cosine[w.source], kCosine));
+        add(lit_row_, residual_, w.source, weight * relit * usable_[w.source] * ratio);
+      }
+      add(lit_row_, model_, i, visible);
+      add(indirect_row_, model_, i, visible);
+
+      const float* const value = &value_[static_cast<std::size_t>(i) * width_];
+      const float* const residual = &residual_[static_cast<std::size_t>(i) * width_];
+      const float* const weight = &weight_[static_cast<std::size_t>(i) * width_];
+      const float* const at_view = &model_[static_cast<std::size_t>(i) * width_];
+      struct Sum {
+        float plain = 0, lit = 0, indirect = 0;
+      };
+      const auto sum = [&](int begin) {
+        Sum s;
+        for (int x = 0; x < half_; ++x) {
+          const float w = weight[begin + x], v = value[x];
+          s.plain += w * (plain_row_[begin + x] - v) * (plain_row_[begin + x] - v);
+          s.lit += w * (lit_row_[begin + x] - v) * (lit_row_[begin + x] - v);
+          s.indirect += w * (indirect_row_[begin + x] - v) * (indirect_row_[begin + x] - v);
+        }
+        return s;
+      };
+      const Sum by_light = sum(0);
+      float square = 0;
+      for (int x = 0; x < half_; ++x) square += weight[x] * value[x] * value[x];
+      error.square += square;
+      const auto note = [&](HoldoutError::Case& to, const Sum& s) {
+        to.plain += s.plain;
+        to.in_light.lit += visible * s.lit, to.in_light.indirect += visible * s.indirect;
+        to.in_shadow.lit += (1 - visible) * s.lit, to.in_shadow.indirect += (1 - visible) * s.indirect;
+      };
+      error.by_light.push_back({list.ids[i], {}});
+      HoldoutError::Cases& cases = error.by_light.back().second;
+      note(cases.light, by_light);
+      cases.beside.plain = kBesideError * by_light.plain;
+      cases.beside.in_shadow.lit = (1 - lights.lit[i]) * square;
+      const bool is_lit = visible > 0.5f;
+      HoldoutError::Count& count = is_lit ? error.in_light : error.in_shadow;
+      if (is_lit || lights.cosine[i] < kSurelyAverted || lights.cosine[i] > 0) {
+        ++count.lights;
+        count.for_indirect += by_light.indirect < kMuchBetter * by_light.lit;
+      }
+      if (sources_.empty()) continue;
+      note(cases.both, sum(half_));
+      // Under the captured light itself the photographs' own shadows show.
+      float plain = 0, guided = 0;
+      for (int x = 0; x < half_; ++x) {
+        const float w = weight[half_ + x], from_others = value[half_ + x] - value[x];
+        const float shown = lights.lit[i] > 0 ? at_view[x] + residual[half_ + x] - value[x] : from_others;
+        plain += w * from_others * from_others;
+        guided += w * shown * shown;
+      }
+      cases.view.plain = plain, cases.view.in_light.lit = guided;
+    }
+  }
+  for (const auto& [id, cases] : error.by_light) error.all += cases;
+  return error;
+}
+
+}  // namespace srf

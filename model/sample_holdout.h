@@ -1,0 +1,78 @@
+// What interpolation would make of the samples of a point were the photographs they come from not there: plainly, and
+// guided by the fitted model. Left out are the light, the view, or both, since a picture may be asked for under a light
+// or from a view that no camera took, and a model that is right about the one may be wrong about the other: at a point
+// of a hull that no surface is at, each view's photographs are explained well and disagree with those of the others.
+#pragma once
+
+#include "field/lumigraph_weights.h"
+#include "model/point_samples.h"
+
+namespace srf {
+
+/// Sums over the samples of a point, weighted by n.v.
+struct HoldoutError {
+  /// As much of the light as lights the point, or does not.
+  struct Part {
+    double lit = 0;       ///< squared error of the model with the residual of the lights that light the point
+    double indirect = 0;  ///< of the model with the residual of all lights
+  };
+  struct Case {
+    double plain = 0;  ///< squared error of the weights of M12 and M13
+    Part in_light, in_shadow;
+    Case& operator+=(const Case& other) {
+      plain += other.plain;
+      in_light.lit += other.in_light.lit, in_light.indirect += other.in_light.indirect;
+      in_shadow.lit += other.in_shadow.lit, in_shadow.indirect += other.in_shadow.indirect;
+      return *this;
+    }
+  };
+  struct Cases {
+    Case light;  ///< the light is left out, the view is there
+    Case both;   ///< light and view
+    Case view;   ///< the view: the light is a captured one; all in in_light.lit
+    /// Close to the captured light, whose lit bit then decides: what is lost where it says dark and photographs do not.
+    Case beside;
+    Cases& operator+=(const Cases& other) {
+      light += other.light, both += other.both, view += other.view, beside += other.beside;
+      return *this;
+    }
+  };
+  Cases all;
+  std::vector<std::pair<LightId, Cases>> by_light;
+  double square = 0;  ///< of the samples
+  /// Lights left out that light the point (or do not), and those of them that the residual of all lights foretells much
+  /// better.
+  struct Count {
+    int lights = 0, for_indirect = 0;
+  };
+  Count in_light, in_shadow;
+};
+
+class SampleHoldout {
+ public:
+  /// For the samples and their `model` values (PointSamples::evaluate).
+  HoldoutError operator()(const FitInput& input, const PointSamples& samples,
+                          const std::array<std::vector<float>, 3>& model);
+
+ private:
+  void transpose(const PointSamples& samples, const std::array<std::vector<float>, 3>& model, std::size_t lights);
+  /// Fills the half of the rows that foretells each view from the others of its list.
+  void foretell(int lights);
+  /// Weights of the lights nearest to light i.
+  void nearest(const LightLists::List& list, const PointSamples::Lights& lights, int i, std::vector<Weighted>& weights);
+
+  std::vector<const PointSamples::View*> views_;
+  // Of the lights of one list, a row for each: channels of its views; then the same as the other views foretell them.
+  int half_ = 0, width_ = 0;
+  std::vector<float> value_, model_, residual_, weight_;
+  struct Source {
+    int to, from;  ///< views
+    float weight;
+  };
+  std::vector<Source> sources_;
+  std::vector<Penalised> candidates_;
+  std::vector<Weighted> plain_, weights_;
+  std::vector<float> usable_, plain_row_, lit_row_, indirect_row_;
+};
+
+}  // namespace srf
