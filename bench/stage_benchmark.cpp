@@ -12,6 +12,7 @@
 #include "base/parallel.h"
 #include "bench/timing.h"
 #include "render/animation.h"
+#include "render/guided_kernels.h"
 #include "render/scene.h"
 #include "render/view_kernels.h"
 
@@ -143,18 +144,19 @@ class BareShadows {
   mutable std::vector<std::uint8_t> blocked_;
 };
 
-// The model's terms for so many pairs of a light and a view, 64 lights at a time.
+// Sums of the model over so many pairs of a light and a view, 64 lights of one view at a time.
 void bareModelValues(std::size_t count) {
   parallelFor((count + 63) / 64, 256, [&](std::size_t begin, std::size_t end) {
-    std::array<std::vector<float>, 3> lights;
-    for (auto& axis : lights) axis.assign(64, 0.577f);
-    std::array<std::vector<float>, kModelTerms> terms;
-    std::array<float*, kModelTerms> to;
-    for (int t = 0; t < kModelTerms; ++t) terms[t].resize(64), to[t] = terms[t].data();
+    const std::vector<float> lane(64, 0.577f);
+    const std::array<float, 3> view{0.6f, 0, 0.8f};
     PointReflectance point;
+    volatile float sink = 0;
     for (std::size_t i = begin; i < end; ++i) {
       point.alpha_x = 0.1f + 1e-6f * static_cast<float>(i % 1000);
-      modelTerms(point, {0.6f, 0, 0.8f}, {lights[0].data(), lights[1].data(), lights[2].data(), 64}, to);
+      ModelOfPoint model = modelOfPoint(point);
+      const ModelView of = addView(model, point, view, 1);
+      sink = modelSums(model, &of, 1, {lane.data(), lane.data(), lane.data()}, {lane.data(), lane.data(), lane.data()},
+                       64)[0];
     }
   });
 }

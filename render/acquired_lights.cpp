@@ -6,6 +6,7 @@
 
 #include "base/numeric.h"
 #include "base/parallel.h"
+#include "render/view_kernels.h"
 
 namespace srf {
 namespace {
@@ -96,6 +97,9 @@ AcquiredLights::AcquiredLights(const std::vector<LightId>& ids, const std::vecto
     candidates_.insert(candidates_.end(), list.begin(), list.end());
   }
   begin_.push_back(static_cast<std::uint32_t>(candidates_.size()));
+  if (distant_)
+    for (const std::uint32_t i : candidates_)
+      for (int k = 0; k < 3; ++k) candidate_direction_[k].push_back(direction_[i][k]);
 }
 
 std::optional<std::uint32_t> AcquiredLights::find(LightId light) const {
@@ -104,10 +108,10 @@ std::optional<std::uint32_t> AcquiredLights::find(LightId light) const {
   return static_cast<std::uint32_t>(at - ids_.begin());
 }
 
-std::span<const std::uint32_t> AcquiredLights::cell(const Vec3& direction) const {
+AcquiredLights::Cell AcquiredLights::cell(const Vec3& direction) const {
   const CubeCell at = cubeCell(direction, resolution_);
   const std::size_t c = (static_cast<std::size_t>(at.face) * resolution_ + at.y) * resolution_ + at.x;
-  return {candidates_.data() + begin_[c], candidates_.data() + begin_[c + 1]};
+  return {begin_[c], begin_[c + 1]};
 }
 
 void AcquiredLights::ranked(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p,
@@ -117,31 +121,49 @@ void AcquiredLights::ranked(const Direction<AcquisitionSpace>& direction, const 
   // Ranked by the square of the chord, which grows with the angle and keeps the digits of small ones; only the k + 1
   // nearest pay for an arcsine.
   const Vec3 d = direction.raw();
-  const auto chord2 = [&](std::uint32_t i) {
-    const Vec3 difference = d - (distant_ ? direction_[i] : lights_[i].directionFrom(p).raw());
-    return dot(difference, difference);
-  };
-  const std::span<const std::uint32_t> candidates = cell(d);
-  const std::size_t wanted = std::min<std::size_t>(k_ + std::size_t{1}, candidates.size());
+  const auto [begin, end] = cell(d);
+  const std::size_t count = end - begin;
+  const std::uint32_t* const candidates = candidates_.data() + begin;
+  thread_local std::vector<double> memory;
+  if (memory.size() < count) memory.resize(count);
+  double* const chord2 = memory.data();
+  if (distant_) {
+    squaredChords(d, candidate_direction_[0].data() + begin, candidate_direction_[1].data() + begin,
+                  candidate_direction_[2].data() + begin, count, chord2);
+  } else {
+    for (std::size_t c = 0; c < count; ++c) {
+      const Vec3 difference = d - lights_[candidates[c]].directionFrom(p).raw();
+      chord2[c] = dot(difference, difference);
+    }
+  }
+  const std::size_t wanted = std::min<std::size_t>(k_ + std::size_t{1}, count);
   scratch.assign(wanted, {std::numeric_limits<double>::infinity(), ~0u});
-  for (const std::uint32_t i : candidates) {
-    const Penalised light{chord2(i), i};
+  Penalised* const least = scratch.data();
+  double worst = least[wanted - 1].penalty;
+  for (std::size_t c = 0; c < count; ++c) {
+    if (chord2[c] > worst) continue;
+    const Penalised light{chord2[c], candidates[c]};
     std::size_t at = wanted - 1;
-    if (!(light < scratch[at])) continue;
-    for (; at > 0 && light < scratch[at - 1]; --at) scratch[at] = scratch[at - 1];
-    scratch[at] = light;
+    if (!(light < least[at])) continue;
+    for (; at > 0 && light < least[at - 1]; --at) least[at] = least[at - 1];
+    least[at] = light;
+    worst = least[wanted - 1].penalty;
   }
   const auto floored = [](double c2) { return std::max(c2, square(kLeastPenalty)); };
   if (floored(scratch.back().penalty) == floored(scratch.front().penalty)) {
     // All tie: the others that tie with them share too (lumigraphWeights).
     const double tie = floored(scratch.front().penalty);
     scratch.clear();
-    for (const std::uint32_t i : candidates)
-      if (floored(chord2(i)) <= tie) scratch.push_back({chord2(i), i});
+    for (std::size_t c = 0; c < count; ++c)
+      if (floored(chord2[c]) <= tie) scratch.push_back({chord2[c], candidates[c]});
   }
-  for (Penalised& light : scratch)
-    light.penalty = light.penalty <= 2 ? 2 * std::asin(0.5 * std::sqrt(light.penalty))
-                                       : kPi - 2 * std::asin(0.5 * std::sqrt(std::max(0.0, 4 - light.penalty)));
+  for (std::size_t at = 0; at < scratch.size(); at += kViewLanes) {
+    double angle[kViewLanes] = {};
+    const std::size_t some = std::min(kViewLanes, scratch.size() - at);
+    for (std::size_t i = 0; i < some; ++i) angle[i] = scratch[at + i].penalty;
+    chordAngles(angle, some);
+    for (std::size_t i = 0; i < some; ++i) scratch[at + i].penalty = angle[i];
+  }
 }
 
 void AcquiredLights::nearest(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p,

@@ -2,6 +2,7 @@
 // weights (M13). No visibility enters: shadows are in the photographs.
 #pragma once
 
+#include <array>
 #include <optional>
 #include <span>
 #include <vector>
@@ -50,7 +51,10 @@ class AcquiredLights {
   Vec3 inverseIrradiance(std::uint32_t i, const Point<AcquisitionSpace>& p) const;
 
  private:
-  std::span<const std::uint32_t> cell(const Vec3& direction) const;
+  struct Cell {
+    std::size_t begin, end;  ///< in candidates_
+  };
+  Cell cell(const Vec3& direction) const;
 
   std::vector<LightId> ids_;
   std::vector<CaptureLight> lights_;
@@ -62,6 +66,7 @@ class AcquiredLights {
   int resolution_ = 1;                ///< cells along the edge of a cube face
   std::vector<std::uint32_t> begin_;  ///< of each cell in candidates_, and the end
   std::vector<std::uint32_t> candidates_;
+  std::array<std::vector<double>, 3> candidate_direction_;  ///< of distant lights
 };
 
 }  // namespace srf

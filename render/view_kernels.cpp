@@ -1,5 +1,6 @@
 #include "render/view_kernels.h"
 
+#include "base/numeric.h"
 #include "field/lumigraph_weights.h"
 #include "render/highway_targets.h"
 
@@ -87,6 +88,34 @@ void place(const Camera<AcquisitionSpace>& camera, double least_foreshortening, 
   }
 }
 
+void chords(const Vec3& from, const double* x, const double* y, const double* z, std::size_t count, double* squared) {
+  const hn::CappedTag<double, kViewLanes> d;
+  const auto fx = hn::Set(d, from.x), fy = hn::Set(d, from.y), fz = hn::Set(d, from.z);
+  std::size_t i = 0;
+  for (; i + hn::Lanes(d) <= count; i += hn::Lanes(d)) {
+    const auto dx = hn::Sub(fx, hn::LoadU(d, x + i)), dy = hn::Sub(fy, hn::LoadU(d, y + i)),
+               dz = hn::Sub(fz, hn::LoadU(d, z + i));
+    hn::StoreU(hn::Add(hn::Add(hn::Mul(dx, dx), hn::Mul(dy, dy)), hn::Mul(dz, dz)), d, squared + i);
+  }
+  for (; i < count; ++i) {
+    const double dx = from.x - x[i], dy = from.y - y[i], dz = from.z - z[i];
+    squared[i] = dx * dx + dy * dy + dz * dz;
+  }
+}
+
+void angles(double* chord2, std::size_t count) {
+  const hn::CappedTag<double, kViewLanes> d;
+  const auto half = hn::Set(d, 0.5), two = hn::Set(d, 2.0), four = hn::Set(d, 4.0), zero = hn::Zero(d);
+  for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
+    const auto c2 = hn::LoadU(d, chord2 + i);
+    // Beyond a right angle by the chord to the opposite direction: an arcsine near 1 loses digits.
+    const auto small = hn::Le(c2, two);
+    const auto near = hn::IfThenElse(small, c2, hn::Max(hn::Sub(four, c2), zero));
+    const auto angle = hn::Mul(two, hn::Asin(d, hn::Mul(half, hn::Sqrt(near))));
+    hn::StoreU(hn::IfThenElse(small, angle, hn::Sub(hn::Set(d, kPi), angle)), d, chord2 + i);
+  }
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace srf
 HWY_AFTER_NAMESPACE();
@@ -95,6 +124,8 @@ HWY_AFTER_NAMESPACE();
 namespace srf {
 HWY_EXPORT(bounds);
 HWY_EXPORT(place);
+HWY_EXPORT(chords);
+HWY_EXPORT(angles);
 
 void penaltyBounds(const float* x, const float* y, const float* z, std::size_t count, const NearQuery& query,
                    float* bound) {
@@ -103,6 +134,13 @@ void penaltyBounds(const float* x, const float* y, const float* z, std::size_t c
 void placeViews(const Camera<AcquisitionSpace>& camera, double least_foreshortening, const HitLanes& hits,
                 std::size_t count, const ViewLanes& out) {
   HWY_DYNAMIC_DISPATCH(place)(camera, least_foreshortening, hits, count, out);
+}
+void squaredChords(const Vec3& d, const double* x, const double* y, const double* z, std::size_t count,
+                   double* squared) {
+  HWY_DYNAMIC_DISPATCH(chords)(d, x, y, z, count, squared);
+}
+void chordAngles(double* chord2, std::size_t count) {
+  HWY_DYNAMIC_DISPATCH(angles)(chord2, count);
 }
 
 }  // namespace srf

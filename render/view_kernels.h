@@ -23,6 +23,13 @@ struct NearQuery {
 void penaltyBounds(const float* x, const float* y, const float* z, std::size_t count, const NearQuery& query,
                    float* bound);
 
+/// squared[i] = |d - (x, y, z)[i]|^2, the same operations in every instruction set.
+void squaredChords(const Vec3& d, const double* x, const double* y, const double* z, std::size_t count,
+                   double* squared);
+/// Squares of chords of the unit sphere to their angles, radians, in place: within 4e-16 of 2 asin(chord / 2),
+/// relative.
+void chordAngles(double* chord2, std::size_t count);
+
 /// Whether the lens bends lines: its views are placed by Camera::project.
 inline bool bendsLines(const Intrinsics& lens) {
   if (lens.model == CameraModel::opencv_fisheye) return true;

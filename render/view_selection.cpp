@@ -189,25 +189,28 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
                          query.eye_distance > 0 ? static_cast<float>(1 / query.eye_distance) : 0.f};
     float* bound = &s.bounds[h * stride];
     penaltyBounds(s.x.data(), s.y.data(), s.z.data(), s.views.size(), near, bound);
-    // The k + 1 least of them first.
-    s.penalised.clear();
+    // The k + 1 least of them first: by bound, then by slot, in one number (floats of 0 and above are ordered as their
+    // bits are).
+    s.least.assign(wanted, ~std::uint64_t{0});
+    std::uint64_t* const least = s.least.data();
+    std::size_t taken = 0;
     each(&s.seen[h * words], [&](std::uint32_t view) {
       const std::uint32_t slot = s.slot[view];
       if (views_[view].camera.lens.isOrthographic()) bound[slot] = 0;
-      const Penalised candidate{bound[slot], slot};
-      if (s.penalised.size() == wanted) {
-        if (!(candidate < s.penalised.back())) return;
-        s.penalised.back() = candidate;
-      } else {
-        s.penalised.push_back(candidate);
+      std::uint64_t candidate = std::uint64_t{std::bit_cast<std::uint32_t>(bound[slot])} << 32 | slot;
+      ++taken;
+      if (candidate >= least[wanted - 1]) return;
+      for (std::size_t j = 0; j < wanted; ++j) {
+        const std::uint64_t less = std::min(least[j], candidate);
+        candidate = std::max(least[j], candidate);
+        least[j] = less;
       }
-      for (std::size_t j = s.penalised.size() - 1; j > 0 && s.penalised[j] < s.penalised[j - 1]; --j)
-        std::swap(s.penalised[j], s.penalised[j - 1]);
     });
     const auto begin = static_cast<std::uint32_t>(s.hit_of.size());
-    for (const Penalised& candidate : s.penalised) {
-      pair(h, candidate.source);
-      bound[candidate.source] = kTaken;
+    for (std::size_t j = 0; j < std::min(taken, wanted); ++j) {
+      const auto slot = static_cast<std::uint32_t>(least[j]);
+      pair(h, slot);
+      bound[slot] = kTaken;
     }
     s.first.push_back({begin, static_cast<std::uint32_t>(s.hit_of.size())});
   }

@@ -58,6 +58,7 @@ class ViewSelection {
     std::array<std::vector<double>, 6> view_lanes;
     std::vector<Tried> tried;                                 ///< of each pair
     std::vector<std::array<std::uint32_t, 2>> first, second;  ///< pairs of each hit: begin and end
+    std::vector<std::uint64_t> least;                         ///< of one hit
     std::vector<Penalised> penalised;
     std::vector<Weighted> weights;
     std::vector<std::pair<double, std::uint32_t>> standing_in;

@@ -9,6 +9,7 @@
 
 #include "base/numeric.h"
 #include "render/acquired_lights.h"
+#include "render/view_kernels.h"
 #include "render/view_selection.h"
 #include "tests/support/hard_case.h"
 
@@ -201,6 +202,27 @@ TEST(AcquiredLights, AnAcquiredDirectionIsItsOwnLight) {
     list.nearest(lights[i].direction, {}, scratch, weights);
     EXPECT_EQ(weights[0].source, i);
     EXPECT_GT(weights[0].weight, 1 - 1e-3);
+  }
+}
+
+TEST(AcquiredLights, ChordsAndTheirAnglesAreThoseOfTheLibrary) {
+  std::mt19937 random(3);
+  std::array<std::vector<double>, 3> lane;
+  const Vec3 from = randomDirection(random);
+  std::vector<Vec3> directions{from, -1.0 * from};
+  while (directions.size() < 203) directions.push_back(randomDirection(random));
+  for (const Vec3& d : directions)
+    for (int c = 0; c < 3; ++c) lane[c].push_back(d[c]);
+  std::vector<double> chord2(paddedLanes(directions.size()));
+  squaredChords(from, lane[0].data(), lane[1].data(), lane[2].data(), directions.size(), chord2.data());
+  std::vector<double> angle = chord2;
+  chordAngles(angle.data(), directions.size());
+  for (std::size_t i = 0; i < directions.size(); ++i) {
+    const Vec3 difference = from - directions[i];
+    EXPECT_EQ(chord2[i], dot(difference, difference));
+    const double want = chord2[i] <= 2 ? 2 * std::asin(std::sqrt(chord2[i]) / 2)
+                                       : kPi - 2 * std::asin(std::sqrt(std::max(0.0, 4 - chord2[i])) / 2);
+    EXPECT_NEAR(angle[i], want, 1e-15 * want) << i;
   }
 }
 
