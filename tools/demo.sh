@@ -11,8 +11,8 @@ cmake --build --preset release -j "$(nproc)" --target apps/all
 srf=build/release/apps/srf
 capture=demo/capture
 if [[ ! -e $capture/transforms.json ]]; then
-  echo "== photographing a ring of rough plastic, 48 views x 48 lights"
-  "$srf" synth -o "$capture" --object torus --material plastic --views 48 --lights 48 --size 160
+  echo "== photographing a ring of rough plastic, 48 views x 64 lights"
+  "$srf" synth -o "$capture" --object torus --material plastic --views 48 --lights 64 --size 160
 fi
 echo "== photographs to animation"
 "$srf" pipeline "$capture" --scene tools/demo/scene.json -o demo > /dev/null
