@@ -75,18 +75,15 @@ std::pair<double, double> warmFrame(const Scene& scene, AnimationOptions options
   return {least, static_cast<double>(quiet.counters()["hits"]) / static_cast<double>(frames.size())};
 }
 
-/// How many times as long a frame of `hits` hits would take without the shortcuts, foretold from two small pictures
-/// either way: what a frame costs at any size, and what each hit adds. 0: the picture is too small to tell.
+/// How many times as long as it does a frame of `hits` hits would take without the shortcuts: foretold from two small
+/// pictures without them, by what each hit adds. 0: the picture is too small to tell.
 double promisedFactor(const Scene& scene, const AnimationOptions& options, int frame, double hits) {
   const auto small = smaller(scene, 4), large = smaller(scene, 2);
   if (!small || !large) return 0;
-  const auto foretold = [&](bool shortcuts) {
-    const auto [seconds_a, hits_a] = warmFrame(*small, options, frame, shortcuts);
-    const auto [seconds_b, hits_b] = warmFrame(*large, options, frame, shortcuts);
-    const double a_hit = hits_b > hits_a ? std::max(0.0, seconds_b - seconds_a) / (hits_b - hits_a) : 0;
-    return seconds_b + (hits - hits_b) * a_hit;
-  };
-  return foretold(false) / foretold(true);
+  const auto [seconds_a, hits_a] = warmFrame(*small, options, frame, false);
+  const auto [seconds_b, hits_b] = warmFrame(*large, options, frame, false);
+  const double a_hit = hits_b > hits_a ? std::max(0.0, seconds_b - seconds_a) / (hits_b - hits_a) : 0;
+  return (seconds_b + (hits - hits_b) * a_hit) / warmFrame(scene, options, frame, true).first;
 }
 
 }  // namespace

@@ -61,5 +61,7 @@ check() {  # run, function that must run now, key as set, functions that must no
 rest=("lookUp(" ViewSelection::select ViewSelection::lookAt DeferredShading::execute "DeformedModel::carry(")
 # A ground is met by rays beside the object too, so tracing is not of what must stay.
 check ground GroundShading::shade '/effects={"ground": {"height": -1.5}}' "${rest[@]}" FrameLighting::gather
-check shadows CastShadows::gather '/effects={"shadows": "deformed"}' "${rest[@]}" DeformedModel::intersectTriangles
+check both CastShadows::gather '/effects={"shadows": "both"}' "${rest[@]}" DeformedModel::intersectTriangles
+# Dividing the rest pose's shadows out takes the model at rest beside the deformed one.
+check deformed CastShadows::gather '/effects={"shadows": "deformed"}' "${rest[@]:0:4}" DeformedModel::intersectTriangles
 exit $failed
