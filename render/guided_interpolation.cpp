@@ -242,11 +242,12 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
     list.nearest(direction, look_up.p, block.order, block.weights);
     // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
     // the nearest is.
-    float lit = 0, facing = 0, usable = 0, disagree = 0, worse = 0, nearest = 4;
+    float lit = 0, lit_facing = 0, facing = 0, usable = 0, disagree = 0, worse = 0, nearest = 4;
     for (const auto& [i, weight] : block.weights) {
       const GuidedBlock::Captured& light = block.captured[i];
       const auto w = static_cast<float>(weight);
-      lit += w * light.facing * light.lit;
+      lit += w * light.lit;
+      lit_facing += w * light.facing * light.lit;
       facing += w * light.facing;
       usable += w * light.usable;
       disagree += w * light.disagree;
@@ -254,20 +255,19 @@ void GuidedLighting::spread(GuidedBlock& block, std::size_t index, std::uint32_t
       nearest = std::min(nearest, square(x - light.x) + square(y - light.y) + square(z - light.z));
     }
     const float gate = options_.model_alone ? 1 : hit.gate * (1 - std::min(worse, 1.f));
-    // Below the horizon only what is interpolated as it is could count.
-    if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0)) continue;
     const float asked = block.visible[at];
-    const float captured = facing > 0 ? lit / facing : asked < 0 ? 1 : asked;
-    float visible = asked < 0 ? captured : asked;
+    float visible = asked < 0 ? facing > 0 ? lit_facing / facing : 1 : asked;
     if (disagree > 0 && !off) {
       visible *= 1 - disagree;
       for (const auto& [i, weight] : block.weights)
         visible += static_cast<float>(weight) * block.captured[i].disagree * block.captured[i].lit;
     }
     const float nearness = nearest < kNotNear * kNotNear ? 1 - smoothstepf(kNear, kNotNear, std::sqrt(nearest)) : 0;
+    // Below the horizon only what is interpolated as it is could count.
+    if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0) && !(nearness > 0)) continue;
     const float indirect = hit.indirectUnder(cosine > 0 ? visible : 0);
     const float as_is = off ? 0 : indirect + (1 - indirect) * nearness;
-    const float shown = options_.shadows == Shadows::captured ? visible + nearness * (captured - visible) : visible;
+    const float shown = options_.shadows == Shadows::captured ? visible + nearness * (lit - visible) : visible;
     for (int c = 0; c < 3; ++c) block.reach[c][k] = gate * shown * e[c];
     if (options_.model_alone) continue;
 
