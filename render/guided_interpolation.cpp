@@ -385,7 +385,8 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   readCaptured(list, block, hit);
   block.amounts.assign(list.count(), {});
   for (auto& channel : block.reach) channel.assign(row_, 0);
-  const bool shares = lighting_.shares(list_index);
+  // Few lights are taken one by one: only so the photograph returns near a captured one.
+  const bool shares = lighting_.shares(list_index) && lighting_.lights().distant.size() >= FrameLighting::kFewestShared;
   if (shares) spreadShared(block, index, list_index);
   spread(block, index, list_index, shares ? lighting_.lights().distant.size() : 0);
   double list_share = 0;

@@ -64,7 +64,7 @@ TEST(ConcaveHull, GuidanceIsNoWorseThanPlainWhereTheHullFillsTheObject) {
   const auto unit = [](const Vec3& v) { return v / length(v); };
   double sum = 0;
   int cases = 0;
-  for (const Vec3& eye : {Vec3{2.0, -3.6, 2.2}, Vec3{0.5, 2.0, 3.0}})
+  for (const Vec3& eye : {Vec3{2.0, -3.6, 2.2}, Vec3{-3.1, -2.4, 1.5}, Vec3{0.5, 2.0, 3.0}})
     for (const Vec3& light : {Vec3{-0.3, -0.5, 0.8}, Vec3{0.8, -0.5, 0.2}})
       for (const bool captured_view : {false, true})
         for (const bool captured_light : {false, true}) {
