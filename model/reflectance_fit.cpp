@@ -399,8 +399,8 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
           return guidedError(one, fitted) > kHarm * one.plain + kSlack * all.plain / lights_asked;
         };
         for (const auto& [light, cases] : e.by_light)
-          if (harmed(cases.light, e.all.light) || harmed(cases.both, e.all.both) || harmed(cases.view, e.all.view) ||
-              harmed(cases.beside, e.all.beside))
+          if (is_hull && (harmed(cases.light, e.all.light) || harmed(cases.both, e.all.both) ||
+                          harmed(cases.view, e.all.view) || harmed(cases.beside, e.all.beside)))
             fit.worse.set(i, light.value);
         e.by_light = {};
         errors[i] = std::move(e);

@@ -289,17 +289,16 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, st
                              const CapturedLanes& captured, const Direction<AcquisitionSpace>& direction, float cosine,
                              LightSight sight, const std::array<float, 3>& e) const {
   const bool off = options_.shadows == Shadows::off;
-  // Below the horizon only what is interpolated as it is could count.
-  if (!(cosine > 0) && block.same_gate && gateOf(hit) >= 1 && !(hit.indirect_shadow > 0)) return 0;
   lighting_.lists()[list_index].nearest(direction, hit.query.look_up->p, block.order, block.weights);
   const std::array<float, 3> l = floats(direction.raw());
   const auto [x, y, z] = captured.direction;
   // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
   // the nearest is.
-  float lit = 0, facing = 0, usable = 0, disagree = 0, gate = 0, nearest = 4;
+  float lit = 0, lit_facing = 0, facing = 0, usable = 0, disagree = 0, gate = 0, nearest = 4;
   for (const auto& [i, weight] : block.weights) {
     const auto w = static_cast<float>(weight);
-    lit += w * block.facing[i] * block.lit[i];
+    lit += w * block.lit[i];
+    lit_facing += w * block.facing[i] * block.lit[i];
     facing += w * block.facing[i];
     usable += w * block.usable[i];
     disagree += w * block.disagree[i];
@@ -307,17 +306,18 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, st
     nearest = std::min(nearest, square(l[0] - x[i]) + square(l[1] - y[i]) + square(l[2] - z[i]));
   }
   if (!off && !(cosine > 0)) sight = kHidden;
-  const float through = facing > 0 ? lit / facing : sight == kHidden ? 0 : 1;
-  float visible = sight == kNotAsked ? through : static_cast<float>(sight);
+  float visible = sight != kNotAsked ? static_cast<float>(sight) : facing > 0 ? lit_facing / facing : 1;
   if (disagree > 0 && !off) {
     visible *= 1 - disagree;
     for (const auto& [i, weight] : block.weights)
       visible += static_cast<float>(weight) * block.disagree[i] * block.lit[i];
   }
   const float nearness = nearest < kNotNear * kNotNear ? 1 - smoothstepf(kNear, kNotNear, std::sqrt(nearest)) : 0;
+  // Below the horizon only what is interpolated as it is could count.
+  if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0) && !(nearness > 0)) return 0;
   const float indirect = hit.indirectUnder(cosine > 0 ? visible : 0);
   const float as_is = off ? 0 : indirect + (1 - indirect) * nearness;
-  const float shown = options_.shadows == Shadows::captured ? visible + nearness * (through - visible) : visible;
+  const float shown = options_.shadows == Shadows::captured ? visible + nearness * (lit - visible) : visible;
   if (options_.model_alone) return gate * shown;
 
   const float relit = usable > 0 && cosine > 0 ? (1 - as_is) * visible * smoothstepf(0, kFade, usable) / usable : 0;
@@ -438,7 +438,8 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
     block.reach[c].assign(std::max(distant_lanes_, near_lanes_), 0);
   }
   // What reaches the eye by the model, and what stands for it among the photographs.
-  if (lighting_.shares(list_index)) {
+  // Few lights are taken one by one: only so the photograph returns near a captured one.
+  if (lighting_.shares(list_index) && lights.distant.size() >= FrameLighting::kFewestShared) {
     add(list_share, spreadShared(block, index, list_index, captured));
   } else if (!lights.distant.empty()) {
     for (std::size_t k = 0; k < lights.distant.size(); ++k) {
