@@ -306,6 +306,7 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, st
     nearest = std::min(nearest, square(l[0] - x[i]) + square(l[1] - y[i]) + square(l[2] - z[i]));
   }
   if (!off && !(cosine > 0)) sight = kHidden;
+  if (block.same_gate) gate = gateOf(hit);
   float visible = sight != kNotAsked ? static_cast<float>(sight) : facing > 0 ? lit_facing / facing : 1;
   if (disagree > 0 && !off) {
     visible *= 1 - disagree;
