@@ -179,18 +179,14 @@ double AcquiredLights::distanceTo(std::uint32_t i, const Point<AcquisitionSpace>
 
 double AcquiredLights::angleToNearest(const Direction<AcquisitionSpace>& direction,
                                       const Point<AcquisitionSpace>& p) const {
-  const Vec3* nearest = nullptr;
+  Vec3 nearest = -1.0 * direction.raw();
   double most = -2;
-  Vec3 of_point;
   for (const std::uint32_t i : cell(direction.raw())) {
-    if (!distant_) of_point = lights_[i].directionFrom(p).raw();
-    const Vec3& towards = distant_ ? direction_[i] : of_point;
-    if (const double cosine = dot(towards, direction.raw()); cosine > most) {
-      most = cosine;
-      nearest = distant_ ? &direction_[i] : nullptr;
-    }
+    const Vec3 towards =
+        distant_ ? Vec3{direction_[0][i], direction_[1][i], direction_[2][i]} : lights_[i].directionFrom(p).raw();
+    if (const double cosine = dot(towards, direction.raw()); cosine > most) most = cosine, nearest = towards;
   }
-  return nearest ? angleBetweenUnit(*nearest, direction.raw()) : std::acos(std::clamp(most, -1.0, 1.0));
+  return angleBetweenUnit(nearest, direction.raw());
 }
 
 Vec3 AcquiredLights::inverseIrradiance(std::uint32_t i, const Point<AcquisitionSpace>& p) const {
