@@ -181,9 +181,9 @@ double AcquiredLights::angleToNearest(const Direction<AcquisitionSpace>& directi
                                       const Point<AcquisitionSpace>& p) const {
   Vec3 nearest = -1.0 * direction.raw();
   double most = -2;
-  for (const std::uint32_t i : cell(direction.raw())) {
-    const Vec3 towards =
-        distant_ ? Vec3{direction_[0][i], direction_[1][i], direction_[2][i]} : lights_[i].directionFrom(p).raw();
+  const auto [begin, end] = cell(direction.raw());
+  for (std::size_t c = begin; c < end; ++c) {
+    const Vec3 towards = lights_[candidates_[c]].directionFrom(p).raw();
     if (const double cosine = dot(towards, direction.raw()); cosine > most) most = cosine, nearest = towards;
   }
   return angleBetweenUnit(nearest, direction.raw());
