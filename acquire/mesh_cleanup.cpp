@@ -1,10 +1,15 @@
 // remeshed() of exact_hull.h.
+#include <CGAL/AABB_face_graph_triangle_primitive.h>
+#include <CGAL/AABB_traits.h>
+#include <CGAL/AABB_tree.h>
 #include <CGAL/Exact_predicates_inexact_constructions_kernel.h>
 #include <CGAL/Polygon_mesh_processing/manifoldness.h>
 #include <CGAL/Polygon_mesh_processing/remesh.h>
+#include <CGAL/Polygon_mesh_processing/repair.h>
 #include <CGAL/Polygon_mesh_processing/repair_degeneracies.h>
 #include <CGAL/Polygon_mesh_processing/repair_self_intersections.h>
 #include <CGAL/Polygon_mesh_processing/self_intersections.h>
+#include <CGAL/Polygon_mesh_processing/tangential_relaxation.h>
 #include <CGAL/Surface_mesh.h>
 
 #include <algorithm>
@@ -31,11 +36,24 @@ AcquisitionMesh remeshed(const AcquisitionMesh& mesh, double edge, Reporter& rep
       throw badInput("remeshing", "the surface is not manifold; expected a closed surface");
   Reporter::Stage stage(reporter, "remesh", 3);
   PMP::remove_degenerate_faces(surface);
+  // Remeshing goes around every vertex by its edges: vertices without any, or of two sheets, would lead it astray.
+  PMP::remove_isolated_vertices(surface);
+  PMP::duplicate_non_manifold_vertices(surface);
+  surface.collect_garbage();
   stage.advance();
+  // CGAL's own relaxation steps go around vertices that a collapse has left without edges, and crash; so they are taken
+  // between its rounds, when those vertices are gone. All of it stays on the surface as it was.
   constexpr int kRounds = 5, kRelaxations = 2;
-  PMP::isotropic_remeshing(
-      faces(surface), edge, surface,
-      CGAL::parameters::number_of_iterations(kRounds).number_of_relaxation_steps(kRelaxations).do_project(true));
+  const Mesh input = surface;
+  using Primitive = CGAL::AABB_face_graph_triangle_primitive<Mesh>;
+  CGAL::AABB_tree<CGAL::AABB_traits<Kernel, Primitive>> tree(faces(input).begin(), faces(input).end(), input);
+  for (int round = 0; round < kRounds; ++round) {
+    PMP::isotropic_remeshing(faces(surface), edge, surface,
+                             CGAL::parameters::number_of_iterations(1).number_of_relaxation_steps(0).do_project(false));
+    PMP::remove_isolated_vertices(surface);
+    PMP::tangential_relaxation(vertices(surface), surface, CGAL::parameters::number_of_iterations(kRelaxations));
+    for (const auto v : vertices(surface)) surface.point(v) = tree.closest_point(surface.point(v));
+  }
   stage.advance();
   surface.collect_garbage();
   // Collapses and projection can fold the surface at thin parts; such places are cut out and filled again.
