@@ -150,7 +150,7 @@ void bareModelValues(std::size_t count) {
     const std::vector<float> lane(64, 0.577f);
     const std::array<float, 3> view{0.6f, 0, 0.8f};
     PointReflectance point;
-    volatile float sink = 0;
+    [[maybe_unused]] volatile float sink = 0;
     for (std::size_t i = begin; i < end; ++i) {
       point.alpha_x = 0.1f + 1e-6f * static_cast<float>(i % 1000);
       ModelOfPoint model = modelOfPoint(point);
