@@ -23,18 +23,18 @@
 namespace srf {
 namespace {
 
-constexpr std::size_t kShown = 8;    // rows of one kind before the rest is summed up
-constexpr std::size_t kNamed = 60;   // files of one kind that are named at all
+constexpr std::size_t kShown = 8;                 // rows of one kind before the rest is summed up
+constexpr std::size_t kNamed = 60;                // files of one kind that are named at all
 constexpr int kLeastCells = 48, kMostCells = 64;  // of the hull: enough to tell a wrong view
-constexpr double kWideGap = 45;      // degrees without any view or light
-constexpr double kGood = 0.9;        // IoU in the middle below which many silhouettes lack something
-constexpr double kAgree = 0.8;       // IoU of silhouettes that belong together, at this resolution
-constexpr double kWrong = 0.93;      // IoU below which a view that most others surpass is named in any case
-constexpr double kRollGain = 0.005;  // of IoU, below which a camera is not said to be turned about its axis
-constexpr std::size_t kHinted = 16;  // views for which it is tried out what would make them fit
+constexpr double kWideGap = 45;                   // degrees without any view or light
+constexpr double kGood = 0.9;                     // IoU in the middle below which many silhouettes lack something
+constexpr double kAgree = 0.8;                    // IoU of silhouettes that belong together, at this resolution
+constexpr double kWrong = 0.93;        // IoU below which a view that most others surpass is named in any case
+constexpr double kRollGain = 0.005;    // of IoU, below which a camera is not said to be turned about its axis
+constexpr std::size_t kHinted = 16;    // views for which it is tried out what would make them fit
 constexpr std::size_t kPictured = 24;  // views drawn against the hull
-constexpr double kPoorFit = 0.3;     // correlation of shading and photographs that cannot be right
-constexpr double kDrift = 0.05;      // change of exposure over a capture that is told
+constexpr double kPoorFit = 0.3;       // correlation of shading and photographs that cannot be right
+constexpr double kDrift = 0.05;        // change of exposure over a capture that is told
 
 std::string text(const char* format, double a, double b = 0, double c = 0, double d = 0) {
   char out[200];
@@ -103,7 +103,7 @@ class Section {
 struct PhotoFacts {
   std::string fault;  // empty: it can be used
   std::size_t not_finite = 0, negative = 0, clipped = 0, pixels = 0;
-  double ceiling = 0;  // above 0: a value that many pixels stop at, as those of a full sensor do
+  double ceiling = 0;     // above 0: a value that many pixels stop at, as those of a full sensor do
   double at_ceiling = 0;  // share of the lit pixels that stand there
   bool black = false;
 };
@@ -176,8 +176,8 @@ PhotoFacts lookAtPhoto(const Capture& capture, const CaptureView& view, const Ph
     }
     for (int y = 0; y < small.height; ++y)
       for (int x = 0; x < small.width; ++x)
-        small.luminance[static_cast<std::size_t>(y) * small.width + x] /= static_cast<float>(
-            colours * std::min(step, p.width() - x * step) * std::min(step, p.height() - y * step));
+        small.luminance[static_cast<std::size_t>(y) * small.width + x] /=
+            static_cast<float>(colours * std::min(step, p.width() - x * step) * std::min(step, p.height() - y * step));
     facts.black = !(most > 0);
     if (!image.is_float)
       facts.clipped = static_cast<std::size_t>(
@@ -210,8 +210,7 @@ void reportFiles(const Capture& capture, const AllPhotos& photos, CheckReport& r
 
 /// Photographs of one light that stop at a value: one row for a light that does so everywhere, else one a file.
 void reportCeilings(const Capture& capture, const AllPhotos& photos, Section& section) {
-  const std::string mend =
-      "expose less under it, or merge exposures to EXR; clipped highlights come out too dark";
+  const std::string mend = "expose less under it, or merge exposures to EXR; clipped highlights come out too dark";
   std::vector<std::vector<std::pair<std::size_t, std::size_t>>> of_light(capture.lights.size());
   std::vector<std::size_t> lit(capture.lights.size());
   for (std::size_t v = 0; v < photos.facts.size(); ++v)
@@ -229,12 +228,12 @@ void reportCeilings(const Capture& capture, const AllPhotos& photos, Section& se
     if (list.size() >= 3 && 3 * list.size() >= lit[l]) {
       double most = 0;
       for (const auto& at : list) most = std::max(most, factsOf(at).at_ceiling);
-      section.warn(fileOf(list[0]),
-                   "and " + counted(list.size() - 1, "other photograph") + " of " + std::to_string(lit[l]) +
-                       " under light '" + capture.lights[l].name + "' are clipped" +
-                       text(": up to %.0f %% of the lit pixels stop at exactly %.4g", 100 * most,
-                            factsOf(list[0]).ceiling),
-                   mend);
+      section.warn(
+          fileOf(list[0]),
+          "and " + counted(list.size() - 1, "other photograph") + " of " + std::to_string(lit[l]) + " under light '" +
+              capture.lights[l].name + "' are clipped" +
+              text(": up to %.0f %% of the lit pixels stop at exactly %.4g", 100 * most, factsOf(list[0]).ceiling),
+          mend);
       continue;
     }
     for (const auto& at : list)
@@ -412,8 +411,7 @@ void checkMasks(const Capture& capture, int factor, std::vector<KeptMask>& kept,
     (capture.views[v].mask_file.empty() ? without : with).push_back(v);
   std::vector<MaskFacts> facts(with.size());
   parallelFor(with.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i)
-      facts[i] = lookAtMask(capture.views[with[i]], factor, kept[with[i]]);
+    for (std::size_t i = begin; i < end; ++i) facts[i] = lookAtMask(capture.views[with[i]], factor, kept[with[i]]);
   });
   for (std::size_t i = 0; i < with.size(); ++i)
     if (!facts[i].fault.empty())
@@ -651,14 +649,26 @@ const std::vector<PoseReading>& poseReadings() {
   static const Vec3 yz{1, -1, -1}, xy{-1, -1, 1}, xz{-1, 1, -1};
   static const std::vector<PoseReading> kReadings{
       {"the file has the OpenCV camera (y down, z forward)",
-       "negate the second and third column of transform_matrix", yz, false, {1, 1, 1}},
+       "negate the second and third column of transform_matrix",
+       yz,
+       false,
+       {1, 1, 1}},
       {"the pictures or the camera's x and y axes are turned by 180 degrees",
-       "negate the first and second column of transform_matrix", xy, false, {1, 1, 1}},
-      {"the camera's x and z axes are turned", "negate the first and third column of transform_matrix", xz, false,
+       "negate the first and second column of transform_matrix",
+       xy,
+       false,
+       {1, 1, 1}},
+      {"the camera's x and z axes are turned",
+       "negate the first and third column of transform_matrix",
+       xz,
+       false,
        {1, 1, 1}},
       {"the file has world-to-camera", "store the inverse", yz, true, yz},
       {"the file has world-to-camera of the OpenCV camera",
-       "store the inverse with the second and third column negated", {1, 1, 1}, true, yz},
+       "store the inverse with the second and third column negated",
+       {1, 1, 1},
+       true,
+       yz},
   };
   return kReadings;
 }
@@ -681,7 +691,7 @@ const PoseReading* fittingReading(const std::vector<SilhouetteView>& views, doub
 /// How a view that does not fit would: its silhouette turned, or its camera.
 struct ViewHint {
   double iou = 0;
-  std::string text;                                         // empty: nothing helps
+  std::string text;                                          // empty: nothing helps
   std::optional<Rigid<AcquisitionSpace, CameraSpace>> pose;  // where the camera turned
 };
 
@@ -739,11 +749,10 @@ ViewHint hintFor(const AcquisitionMesh& mesh, const SilhouetteView& view) {
     const char* how;
     bool swap, flip_x, flip_y;
   };
-  for (const Way& way : {Way{"turned by 180 degrees", false, true, true},
-                         Way{"turned by 90 degrees clockwise", true, true, false},
-                         Way{"turned by 90 degrees counter-clockwise", true, false, true},
-                         Way{"mirrored left to right", false, true, false},
-                         Way{"mirrored top to bottom", false, false, true}}) {
+  for (const Way& way :
+       {Way{"turned by 180 degrees", false, true, true}, Way{"turned by 90 degrees clockwise", true, true, false},
+        Way{"turned by 90 degrees counter-clockwise", true, false, true},
+        Way{"mirrored left to right", false, true, false}, Way{"mirrored top to bottom", false, false, true}}) {
     if (way.swap && view.mask.width() != view.mask.height()) continue;
     tried = view;
     tried.mask = turnedMask(view.mask, way.swap, way.flip_x, way.flip_y);
@@ -799,8 +808,8 @@ std::vector<bool> standOut(const std::vector<SilhouetteView>& views,
   return out;
 }
 
-Agreement agreementOf(const std::vector<SilhouetteView>& views,
-                      const std::optional<Box<AcquisitionSpace>>& bounds, std::string& why_not) {
+Agreement agreementOf(const std::vector<SilhouetteView>& views, const std::optional<Box<AcquisitionSpace>>& bounds,
+                      std::string& why_not) {
   Agreement result;
   const auto out = standOut(views, bounds);
   std::vector<SilhouetteView> kept;
@@ -835,8 +844,7 @@ Agreement agreementOf(const std::vector<SilhouetteView>& views,
   const double wide = std::max(6 * median(spread), 0.02 * usual);
   for (std::size_t i = 0; i < views.size(); ++i) {
     const double cell = std::max(1.0, cellPixels(*result.hull, views[i].camera));
-    if (apart[i] > usual + std::max(wide, cell) ||
-        (out[i] && apart[i] > usual + std::max(wide, 0.75 * cell)) ||
+    if (apart[i] > usual + std::max(wide, cell) || (out[i] && apart[i] > usual + std::max(wide, 0.75 * cell)) ||
         (result.iou[i] < std::min(kWrong, result.middle) && apart[i] > std::max(1.0, 0.4 * cell)))
       result.apart.push_back(i);
   }
@@ -895,11 +903,11 @@ std::optional<VisualHull> checkAgreement(const Capture& capture, std::vector<Sil
     const ViewHint hint = k < kHinted ? hintFor(found.hull->mesh, views[i]) : ViewHint{};
     const CaptureView& view = capture.views[which[i]];
     const auto& file = view.mask_file.empty() && !view.photos.empty() ? view.photos[0].file : view.mask_file;
-    section.warn(view.name,
-                 text("IoU with the hull of the others is %.3f, usual is %.3f", found.iou[i], found.middle) + " (" +
-                     file.string() + ")",
-                 hint.text.empty() ? "look at its silhouette and pose; acquire leaves it out or tolerates it"
-                                   : hint.text);
+    section.warn(
+        view.name,
+        text("IoU with the hull of the others is %.3f, usual is %.3f", found.iou[i], found.middle) + " (" +
+            file.string() + ")",
+        hint.text.empty() ? "look at its silhouette and pose; acquire leaves it out or tolerates it" : hint.text);
     if (hint.pose && hint.iou > found.middle - 0.03) {
       views[i].camera.pose = *hint.pose;
       report.mended.capture.views[which[i]].camera.pose = *hint.pose;
@@ -911,8 +919,8 @@ std::optional<VisualHull> checkAgreement(const Capture& capture, std::vector<Sil
                  text("IoU with their hull is %.2f in the middle and %.2f at least", found.middle, least),
                  "shadows may be cut out of the silhouettes: look at them, or let acquire keep what most views agree "
                  "on (--tolerance 2)");
-  section.finish(text("IoU with their hull %.3f in the middle, %.3f at least", found.middle, least) +
-                 " (at " + std::to_string(hullCells(views)) + " cells)");
+  section.finish(text("IoU with their hull %.3f in the middle, %.3f at least", found.middle, least) + " (at " +
+                 std::to_string(hullCells(views)) + " cells)");
   return std::move(found.hull);
 }
 
@@ -939,10 +947,9 @@ void reportLightTable(const Capture& capture, const PhotometricReport& found, Ch
     }
     report.mended.what.push_back("all lights: " + change);
   } else if (found.fit < kPoorFit) {
-    section.warn(file,
-                 text("the lights fit the photographs poorly: correlation %.2f with the shading of the hull",
-                      found.fit),
-                 "see whether lights and cameras are given in the same axes; mirrors of the table do not help");
+    section.warn(
+        file, text("the lights fit the photographs poorly: correlation %.2f with the shading of the hull", found.fit),
+        "see whether lights and cameras are given in the same axes; mirrors of the table do not help");
   }
   // Where each light's photographs belong; two that belong to each other were exchanged.
   std::map<std::uint32_t, const ForeignLight*> belongs;
@@ -982,10 +989,10 @@ void reportTurned(const Capture& capture, const PhotometricReport& found, CheckR
   Section section(report, "photographs upright");
   std::vector<std::set<std::size_t>> drop(capture.views.size());
   for (const TurnedPhoto& t : found.turned) {
-    section.fault(capture.views[t.view].photos[t.photo].file.string(),
-                  "is " + t.how + text(": its shading fits by %.2f when it is turned back, by %.2f as it is", t.after,
-                                       t.before),
-                  "turn the picture back (and see whether its EXIF orientation was applied twice)");
+    section.fault(
+        capture.views[t.view].photos[t.photo].file.string(),
+        "is " + t.how + text(": its shading fits by %.2f when it is turned back, by %.2f as it is", t.after, t.before),
+        "turn the picture back (and see whether its EXIF orientation was applied twice)");
     drop[t.view].insert(t.photo);
     report.mended.what.push_back(capture.views[t.view].photos[t.photo].file.string() + ": left out, it is " + t.how);
   }
@@ -1042,10 +1049,9 @@ void forecast(const Capture& capture, const std::vector<KeptMask>& masks, const 
                  "make room or choose another place");
   // Masks at full size with their distances stay in memory while the hull is carved.
   const double memory = std::max(6 * pixels, largest);
-  section.finish(found + "; " + bytesText(memory) + " of memory for " +
-                 (6 * pixels > largest ? "the silhouettes" : "that view") +
-                 text("; reading its %.0f photographs took %.1f s here, acquire does it again", photos,
-                      report.seconds_reading));
+  section.finish(
+      found + "; " + bytesText(memory) + " of memory for " + (6 * pixels > largest ? "the silhouettes" : "that view") +
+      text("; reading its %.0f photographs took %.1f s here, acquire does it again", photos, report.seconds_reading));
 }
 
 // ---- What is mended, and pictures

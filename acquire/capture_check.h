@@ -48,7 +48,7 @@ struct CheckReport {
 };
 
 struct CheckOptions {
-  std::filesystem::path out = ".";  ///< where an SRF of it would be written, for the forecast of disk space
+  std::filesystem::path out = ".";            ///< where an SRF of it would be written, for the forecast of disk space
   std::size_t memory = std::size_t{1} << 30;  ///< bytes that may be held at once
   bool pictures = false;                      ///< draw CheckReport::pictures
 };

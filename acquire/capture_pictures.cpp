@@ -66,8 +66,8 @@ Image8 reduced(const Image8& mask, int factor) {
   return out;
 }
 
-Image8 axesPicture(const Image8& picture, const Camera<AcquisitionSpace>& camera,
-                   const Point<AcquisitionSpace>& center, double axis_length) {
+Image8 axesPicture(const Image8& picture, const Camera<AcquisitionSpace>& camera, const Point<AcquisitionSpace>& center,
+                   double axis_length) {
   Image8 out = picture;
   cv::Mat on = matOf(out);
   const double scale = static_cast<double>(picture.width()) / camera.lens.width;

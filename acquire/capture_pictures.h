@@ -14,8 +14,8 @@ namespace srf {
 /// The axes of acquisition space through `center`, `length` units long (x red, y green, z blue, their positive ends
 /// named), over a display picture (3 channels) of any size of the camera's shape; and in the corner the picture's own
 /// pixel axes.
-Image8 axesPicture(const Image8& picture, const Camera<AcquisitionSpace>& camera,
-                   const Point<AcquisitionSpace>& center, double length);
+Image8 axesPicture(const Image8& picture, const Camera<AcquisitionSpace>& camera, const Point<AcquisitionSpace>& center,
+                   double length);
 
 /// A sheet of small pictures, `columns` in a row: grey where silhouette and projected hull agree, red where the
 /// silhouette alone is, blue where the hull alone is; with the view's name and its IoU below.

@@ -190,8 +190,8 @@ ImageF meanImage(const std::vector<ImageF>& images) {
   return mean;
 }
 
-Merged mergeExposures(const std::vector<Exposure>& bracket, const CameraResponse& response,
-                      const MergeOptions& options, const std::vector<ImageF>& dark) {
+Merged mergeExposures(const std::vector<Exposure>& bracket, const CameraResponse& response, const MergeOptions& options,
+                      const std::vector<ImageF>& dark) {
   SRF_CHECK(!bracket.empty() && (dark.size() <= 1 || dark.size() == bracket.size()));
   const int w = bracket[0].pixels.width(), h = bracket[0].pixels.height(), channels = bracket[0].pixels.channels();
   std::size_t longest = 0;
@@ -230,8 +230,7 @@ Merged mergeExposures(const std::vector<Exposure>& bracket, const CameraResponse
             if (!std::isfinite(encoded)) continue;
             if (encoded >= options.saturated) continue;
             const double off = dark.empty() ? 0 : dark[dark.size() == 1 ? 0 : k].at(x, y, c);
-            const double value =
-                (e.is_linear ? encoded : response.exposure(c % 3, static_cast<float>(encoded))) - off;
+            const double value = (e.is_linear ? encoded : response.exposure(c % 3, static_cast<float>(encoded))) - off;
             if (!std::isfinite(value)) continue;
             if (k == longest) longest_value = value / e.amount;
             if (encoded <= options.black) continue;

@@ -74,8 +74,8 @@ struct Merged {
 /// log exposure with the hat weights of Debevec and Malik, Eq. 6. Clipped samples have no weight. `dark`: linear
 /// exposures to subtract (empty: none), of the bracket's own exposures in order or one for all. Throws bad_input where
 /// sizes differ.
-Merged mergeExposures(const std::vector<Exposure>& bracket, const CameraResponse& response,
-                      const MergeOptions& options, const std::vector<ImageF>& dark = {});
+Merged mergeExposures(const std::vector<Exposure>& bracket, const CameraResponse& response, const MergeOptions& options,
+                      const std::vector<ImageF>& dark = {});
 
 /// Linear exposure of a photograph (no merging, no masks).
 ImageF linearImage(const Exposure& exposure, const CameraResponse& response);

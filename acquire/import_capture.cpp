@@ -207,9 +207,9 @@ Capture readProjections(const fs::path& source, const ImportOptions& options, Re
     }
     CaptureView view;
     view.name = fs::path(e.name).stem().string();
-    view.camera = cameraFromProjection({{Vec3{e.p[0], e.p[1], e.p[2]}, Vec3{e.p[4], e.p[5], e.p[6]},
-                                         Vec3{e.p[8], e.p[9], e.p[10]}}},
-                                       {e.p[3], e.p[7], e.p[11]}, options.pixel_center, e.where);
+    view.camera = cameraFromProjection(
+        {{Vec3{e.p[0], e.p[1], e.p[2]}, Vec3{e.p[4], e.p[5], e.p[6]}, Vec3{e.p[8], e.p[9], e.p[10]}}},
+        {e.p[3], e.p[7], e.p[11]}, options.pixel_center, e.where);
     const ImageSize size = readImageSize(*photo);
     view.camera.lens.width = size.width;
     view.camera.lens.height = size.height;
@@ -286,8 +286,9 @@ std::optional<Intrinsics> sensorLens(const pugi::xml_node& sensor, const std::st
   lens.cx = 0.5 * lens.width + value("cx");
   lens.cy = 0.5 * lens.height + value("cy");
   if (std::fabs(value("cx")) > 0.25 * lens.width || std::fabs(value("cy")) > 0.25 * lens.height)
-    throw badInput(where, "has cx, cy a quarter of the picture off its middle: they are read as offsets from there, as "
-                          "the format has them since 1.5; export the cameras again");
+    throw badInput(where,
+                   "has cx, cy a quarter of the picture off its middle: they are read as offsets from there, as "
+                   "the format has them since 1.5; export the cameras again");
   lens.k1 = value("k1"), lens.k2 = value("k2"), lens.k3 = value("k3"), lens.k4 = value("k4");
   lens.p1 = value("p2"), lens.p2 = value("p1");  // their p1 goes with x, OpenCV's with y
   if (type == "fisheye") {
@@ -329,7 +330,7 @@ Capture readMetashape(const fs::path& file, const ImportOptions& options, Report
   }
   Capture capture;
   capture.folder = file.parent_path();
-  const fs::path images = !options.images.empty()             ? options.images
+  const fs::path images = !options.images.empty()              ? options.images
                           : isThere(capture.folder / "images") ? capture.folder / "images"
                                                                : capture.folder;
   capture.lights = {capturedLight()};
@@ -406,8 +407,9 @@ Camera<AcquisitionSpace> standInCamera(const ImageSize& size) {
   return camera;
 }
 void tellOfStandIn(const fs::path& file, Reporter& reporter) {
-  reporter.warn(file.string() + ": it says nothing of the camera: an orthographic one stands in, and lengths are in "
-                                "widths of the picture");
+  reporter.warn(file.string() +
+                ": it says nothing of the camera: an orthographic one stands in, and lengths are in "
+                "widths of the picture");
 }
 
 Capture readRti(const fs::path& file, const ImportOptions& options, Reporter& reporter) {
@@ -495,7 +497,8 @@ Capture readDiligent(const fs::path& folder, Reporter& reporter) {
 /// A matrix of a MATLAB file, by name.
 class MatFile {
  public:
-  explicit MatFile(const fs::path& file) : file_(file.string()), mat_(Mat_Open(file.c_str(), MAT_ACC_RDONLY), Mat_Close) {
+  explicit MatFile(const fs::path& file)
+      : file_(file.string()), mat_(Mat_Open(file.c_str(), MAT_ACC_RDONLY), Mat_Close) {
     if (!mat_) throw badInput(file_, isThere(file) ? "is no MATLAB file" : "does not exist");
   }
   bool has(const std::string& name) const { return variable(name) != nullptr; }
@@ -540,8 +543,8 @@ Capture readDiligentMv(const fs::path& folder, Reporter& reporter) {
     const auto t = calibration.matrix("Tc_" + std::to_string(i), 3, 1);
     CaptureView view;
     view.name = "view_" + padded(i, 2);
-    view.camera.pose = poseFromWorldToCamera(
-        {{Vec3{r[0], r[1], r[2]}, Vec3{r[3], r[4], r[5]}, Vec3{r[6], r[7], r[8]}}}, {t[0], t[1], t[2]}, where);
+    view.camera.pose = poseFromWorldToCamera({{Vec3{r[0], r[1], r[2]}, Vec3{r[3], r[4], r[5]}, Vec3{r[6], r[7], r[8]}}},
+                                             {t[0], t[1], t[2]}, where);
     const Mat3 flip{{Vec3{1, 0, 0}, Vec3{0, -1, 0}, Vec3{0, 0, -1}}};
     readDiligentFolder(of, view.camera.pose.rotation().raw() * flip, view.name + "_", capture, view);
     const ImageSize size = readImageSize(view.photos[0].file);
@@ -613,9 +616,9 @@ Capture readOpenIllumination(const fs::path& folder, const ImportOptions& option
   capture.folder = folder;
   for (const auto& [index, unused] : lit) {
     if (index >= positions.size())
-      throw badInput((lights_folder / std::to_string(index)).string(),
-                     "is a light that " + lights_file.string() + " lacks (it holds " +
-                         std::to_string(positions.size()) + ")");
+      throw badInput(
+          (lights_folder / std::to_string(index)).string(),
+          "is a light that " + lights_file.string() + " lacks (it holds " + std::to_string(positions.size()) + ")");
     CaptureLight light;
     light.name = padded(index, 3);
     light.kind = LightKind::point;
@@ -675,8 +678,9 @@ Camera<AcquisitionSpace> cameraFromProjection(const Mat3& m, const Vec3& last_co
   const double det = determinant(m);
   const double size = length(m.row[0]) * length(m.row[1]) * length(m.row[2]);
   if (!isFinite(last_column) || !(std::fabs(det) > 1e-12 * size))
-    throw badInput(where, "is a projection without a finite centre (its left 3 x 3 is singular), which no photograph of "
-                          "a pinhole has; mend the matrix");
+    throw badInput(where,
+                   "is a projection without a finite centre (its left 3 x 3 is singular), which no photograph of "
+                   "a pinhole has; mend the matrix");
   // P and -P are the same projection; of positive determinant, K has a positive diagonal and R is a rotation.
   const double sign = det > 0 ? 1 : -1;
   const Vec3 a = sign * m.row[0], b = sign * m.row[1], c = sign * m.row[2];
@@ -699,8 +703,9 @@ Camera<AcquisitionSpace> cameraFromProjection(const Mat3& m, const Vec3& last_co
 }
 
 const std::vector<std::string>& importFormats() {
-  static const std::vector<std::string> kFormats{"transforms", "nrhints", "colmap",   "middlebury",  "projections",
-                                                 "metashape",  "lp",      "diligent", "diligent-mv", "openillumination"};
+  static const std::vector<std::string> kFormats{"transforms",  "nrhints",         "colmap", "middlebury",
+                                                 "projections", "metashape",       "lp",     "diligent",
+                                                 "diligent-mv", "openillumination"};
   return kFormats;
 }
 
@@ -737,7 +742,8 @@ Capture importCapture(const std::string& format, const fs::path& source, const I
     for (const auto& entry : fs::directory_iterator(source))
       if (entry.path().extension() == extension) found.push_back(entry.path());
     if (found.size() != 1)
-      throw badInput(source.string(), "holds " + counted(found.size(), extension + " file") + "; name the one that is meant");
+      throw badInput(source.string(),
+                     "holds " + counted(found.size(), extension + " file") + "; name the one that is meant");
     return found[0];
   };
   if (format == "transforms") {

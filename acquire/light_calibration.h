@@ -39,8 +39,8 @@ struct LpLight {
   bool normalised_here = false;  ///< the file's vector was not of length 1 within 1e-3
 };
 /// Reads a .lp file: its count, then `file x y z` a line. File names may hold blanks; decimal commas are read as
-/// points; tabs, a byte-order mark and Windows line ends are fine. Throws bad_input that names the line: a count that is not
-/// that of the lines, a vector of no length, a line of another form.
+/// points; tabs, a byte-order mark and Windows line ends are fine. Throws bad_input that names the line: a count that
+/// is not that of the lines, a vector of no length, a line of another form.
 std::vector<LpLight> readLp(const std::filesystem::path& file);
 void writeLp(const std::filesystem::path& file, const std::vector<LpLight>& lights);
 /// Between the .lp frame (y up, z towards the camera) and camera space.

@@ -16,10 +16,12 @@ struct ShootPhoto {
 };
 
 /// The photographs of `folder` whose path below it fits `pattern`, in natural order of view, light and exposure
-/// ("l2" before "l10"), camera before all. The pattern is a path with '/' between folders; {camera}, {view}, {light} and
-/// {exposure} each stand for one or more characters other than '/', * for any number of them. A pattern that ends in
-/// ".*" takes every image format. Masks (mask.png, NAME.mask.tga, NAME_mask.png, NAME-mask.png) are no photographs. Throws usage for a pattern that is none, bad_input where nothing fits (naming a file that does not) or where
-/// two files are the same view, light and exposure.
+/// ("l2" before "l10"), camera before all. The pattern is a path with '/' between folders; {camera}, {view}, {light}
+/// and {exposure} each stand for one or more characters other than '/', * for any number of them. A pattern that ends
+/// in
+/// ".*" takes every image format. Masks (mask.png, NAME.mask.tga, NAME_mask.png, NAME-mask.png) are no photographs.
+/// Throws usage for a pattern that is none, bad_input where nothing fits (naming a file that does not) or where two
+/// files are the same view, light and exposure.
 std::vector<ShootPhoto> findPhotos(const std::filesystem::path& folder, const std::string& pattern);
 
 /// "2" before "10"; case and everything else by character.

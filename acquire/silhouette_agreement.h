@@ -19,8 +19,8 @@ struct MendedView {
 /// background, and what lies outside that hull is no object: both are mended, and a hull is carved anew, until nothing
 /// changes (five rounds at most). The hull is the one that a 24th of the views (one at least) may be overruled
 /// in; gaps narrower than 5 pixels of a picture of 640 are its looseness and stay, and so is what most views show: a
-/// view is mended where it differs by more than the median of all and twice their spread (a hundredth at least). Warns of views that were mended by
-/// more than 2 % of their mask, by name.
+/// view is mended where it differs by more than the median of all and twice their spread (a hundredth at least). Warns
+/// of views that were mended by more than 2 % of their mask, by name.
 std::vector<MendedView> mendSilhouettes(std::vector<SilhouetteView>& views,
                                         const std::optional<Box<AcquisitionSpace>>& bounds, Reporter& reporter);
 

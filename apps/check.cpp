@@ -64,8 +64,7 @@ int main(int argc, char** argv) {
     std::error_code code;
     if (!fixed.empty() && std::filesystem::equivalent(fixed, capture, code))
       throw srf::Error(srf::ErrorKind::usage, "names the capture itself; name another folder", "--fix");
-    const srf::CheckReport report =
-        srf::checkCapture(capture, {out, program.memoryBudget(), !html.empty()}, reporter);
+    const srf::CheckReport report = srf::checkCapture(capture, {out, program.memoryBudget(), !html.empty()}, reporter);
     printReport(report);
     if (!json.empty()) writeJson(json, report);
     if (!html.empty()) srf::writeTextFile(html, srf::checkPage(capture, report));

@@ -60,14 +60,16 @@ std::string bars(const std::vector<double>& values, double base, const std::stri
   const auto y = [&](double v) { return 8 + (height - 16) * (most - v) / (most - least); };
   std::string out = format("<svg viewBox=\"0 0 %g %g\" width=\"%g\">\n", width, height, width);
   for (const double tick : {least, most})
-    out += format("<line x1=\"%g\" x2=\"%g\" y1=\"%.1f\" y2=\"%.1f\" stroke=\"#ddd\"/>"
-                  "<text x=\"%g\" y=\"%.1f\" text-anchor=\"end\">%.4g</text>\n",
-                  left, width, y(tick), y(tick), left - 4, y(tick) + 4, tick);
+    out += format(
+        "<line x1=\"%g\" x2=\"%g\" y1=\"%.1f\" y2=\"%.1f\" stroke=\"#ddd\"/>"
+        "<text x=\"%g\" y=\"%.1f\" text-anchor=\"end\">%.4g</text>\n",
+        left, width, y(tick), y(tick), left - 4, y(tick) + 4, tick);
   for (std::size_t i = 0; i < values.size(); ++i)
-    out += format("<rect x=\"%.2f\" y=\"%.2f\" width=\"%.2f\" height=\"%.2f\" fill=\"#4a7ebb\"><title>view %zu: %s "
-                  "%.4f</title></rect>\n",
-                  left + step * static_cast<double>(i), std::min(y(values[i]), y(base)), std::max(0.5, step * 0.8),
-                  std::max(0.5, std::fabs(y(values[i]) - y(base))), i, name.c_str(), values[i]);
+    out += format(
+        "<rect x=\"%.2f\" y=\"%.2f\" width=\"%.2f\" height=\"%.2f\" fill=\"#4a7ebb\"><title>view %zu: %s "
+        "%.4f</title></rect>\n",
+        left + step * static_cast<double>(i), std::min(y(values[i]), y(base)), std::max(0.5, step * 0.8),
+        std::max(0.5, std::fabs(y(values[i]) - y(base))), i, name.c_str(), values[i]);
   return out + "</svg>\n";
 }
 
@@ -77,9 +79,10 @@ std::string perView(const CheckReport& report) {
   for (const double v : report.view_iou)
     if (v >= 0) iou.push_back(v);
   if (!iou.empty())
-    out += "<h2>IoU of each silhouette with the hull</h2>\n" + bars(iou, 1, "IoU") +
-           "<p class=\"note\">Views in the capture's order, down from 1. One far below its neighbours has a wrong mask or "
-           "pose.</p>\n";
+    out +=
+        "<h2>IoU of each silhouette with the hull</h2>\n" + bars(iou, 1, "IoU") +
+        "<p class=\"note\">Views in the capture's order, down from 1. One far below its neighbours has a wrong mask or "
+        "pose.</p>\n";
   if (!report.view_gain.empty())
     out += "<h2>Gain of each view</h2>\n" + bars(report.view_gain, 1, "gain") +
            "<p class=\"note\">From surface points that several views see under the same lights. A slope is a drift of "

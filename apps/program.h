@@ -23,7 +23,7 @@ class Program {
   /// 130 interrupted. --stats is written whether or not the body fails.
   int run(int argc, char** argv, const std::function<void(Reporter&)>& body);
 
-  bool statsWanted() const { return !stats_file_.empty(); }  ///< --stats
+  bool statsWanted() const { return !stats_file_.empty(); }   ///< --stats
   std::size_t memoryBudget() const { return memory_bytes_; }  ///< bytes; default a quarter of the machine
   const std::string& commandLine() const { return command_line_; }
 

@@ -85,8 +85,9 @@ const std::vector<std::string>& knownColorSpaces() {
 Mat3 xyzFromColorSpace(const std::string& name) {
   const Space* space = findSpace(name);
   if (!space)
-    throw Error(ErrorKind::usage, "is no colour space known here; expected one of " + list(knownColorSpaces()) +
-                                      ", or set OCIO to a configuration that has it",
+    throw Error(ErrorKind::usage,
+                "is no colour space known here; expected one of " + list(knownColorSpaces()) +
+                    ", or set OCIO to a configuration that has it",
                 "'" + name + "'");
   return xyzFrom(*space);
 }
@@ -140,10 +141,10 @@ ColorConversion::ColorConversion(const std::string& from, const std::string& to)
       return;
     }
     if (!a || !b)
-      throw Error(ErrorKind::usage,
-                  "is no colour space of " + std::string(ocio) + ", which has " +
-                      list(state_->config->getColorSpaceNames()),
-                  "'" + (a ? to : from) + "'");
+      throw Error(
+          ErrorKind::usage,
+          "is no colour space of " + std::string(ocio) + ", which has " + list(state_->config->getColorSpaceNames()),
+          "'" + (a ? to : from) + "'");
   }
   state_->matrix = colorMatrix(from, to);
   state_->means = "matrix";

@@ -132,8 +132,7 @@ ImageF uprightImage(const ImageF& image, int orientation) {
   return out;
 }
 
-Photograph readPhotograph(const std::filesystem::path& file,
-                          const std::optional<std::array<float, 4>>& white_balance) {
+Photograph readPhotograph(const std::filesystem::path& file, const std::optional<std::array<float, 4>>& white_balance) {
   auto input = openInput(file);
   Photograph photo;
   photo.is_raw = std::string(input->format_name()) == "raw";

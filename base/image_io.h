@@ -29,11 +29,11 @@ LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transf
 /// A photograph with what its camera says about it. Samples are as the file stores them: integer ones from 0 to 1 in
 /// their own encoding, RAW and float ones linear.
 struct Photograph {
-  ImageF pixels;  ///< 1 or 3 channels, turned upright as the file's orientation says
-  int bits = 8;   ///< of a sample
+  ImageF pixels;           ///< 1 or 3 channels, turned upright as the file's orientation says
+  int bits = 8;            ///< of a sample
   bool is_linear = false;  ///< RAW, EXR, HDR and other float files
   bool is_raw = false;
-  std::optional<double> seconds, f_number, iso;   ///< of the exposure
+  std::optional<double> seconds, f_number, iso;       ///< of the exposure
   std::optional<std::array<float, 4>> white_balance;  ///< RAW: the multipliers of R, G, B and the second G, green 1
 };
 /// Reads a photograph. RAW files are made linear Rec.709 from the sensor's values without tone curve, automatic

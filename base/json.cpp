@@ -48,8 +48,7 @@ JsonNode rootOf(const std::string& text, const std::string& name) {
     const std::size_t end = std::min(e.byte > 0 ? e.byte - 1 : 0, text.size());
     const auto line = 1 + std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(end), '\n');
     const std::size_t line_start = end == 0 ? 0 : text.rfind('\n', end - 1) + 1;
-    const std::string place =
-        "line " + std::to_string(line) + ", column " + std::to_string(end - line_start + 1);
+    const std::string place = "line " + std::to_string(line) + ", column " + std::to_string(end - line_start + 1);
     if (std::string_view(e.what()).find("UTF-8") != std::string_view::npos)
       throw badInput(name, place + " is not UTF-8 text; save the file as UTF-8 (names of files too)");
     throw badInput(name, place + " is not valid JSON; check commas, quotes and brackets there");

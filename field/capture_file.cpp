@@ -15,12 +15,12 @@ namespace {
 namespace fs = std::filesystem;
 
 // Keys of nerfstudio, instant-ngp and the tools around them that say nothing this project needs: accepted unread.
-#define SRF_FOREIGN_TOP_KEYS                                                                                          \
-  "aabb_scale", "render_aabb", "render_aabb_to_local", "applied_scale", "ply_file_path",                              \
-      "train_filenames", "val_filenames", "test_filenames", "orientation_override", "auto_scale_poses_override",      \
-      "scale", "offset", "up", "from_mitsuba", "from_na", "importance_sampling", "n_extra_learnable_dims",            \
-      "integer_depth_scale", "depth_unit_scale_factor", "enable_depth_loading", "enable_ray_loading", "fix_premult",  \
-      "sharpen", "white_transparent", "black_transparent", "rolling_shutter", "x_fov", "y_fov", "envmap", "has_mask", \
+#define SRF_FOREIGN_TOP_KEYS                                                                                           \
+  "aabb_scale", "render_aabb", "render_aabb_to_local", "applied_scale", "ply_file_path", "train_filenames",            \
+      "val_filenames", "test_filenames", "orientation_override", "auto_scale_poses_override", "scale", "offset", "up", \
+      "from_mitsuba", "from_na", "importance_sampling", "n_extra_learnable_dims", "integer_depth_scale",               \
+      "depth_unit_scale_factor", "enable_depth_loading", "enable_ray_loading", "fix_premult", "sharpen",               \
+      "white_transparent", "black_transparent", "rolling_shutter", "x_fov", "y_fov", "envmap", "has_mask",             \
       "fisheye_crop_radius", "metadata", "description", "n_frames"
 #define SRF_FOREIGN_FRAME_KEYS                                                                                       \
   "sharpness", "colmap_im_id", "depth_file_path", "depth_path", "normal_file_path", "rotation", "time", "timestamp", \

@@ -10,9 +10,9 @@ namespace srf {
 
 /// A unit tangent u0 of each vertex of `mesh`, which must have normals. Neighbours' agree but for the turn of their
 /// normals, except about the few points where no field on a closed surface can (two on a sphere, none on a torus).
-/// Each direction is averaged with what neighbours carry over along the shortest turn of the normal, from groups of many
-/// vertices down to single ones (the hierarchy of Jakob et al., Instant Field-Aligned Meshes, 2015). Same input, same
-/// bits.
+/// Each direction is averaged with what neighbours carry over along the shortest turn of the normal, from groups of
+/// many vertices down to single ones (the hierarchy of Jakob et al., Instant Field-Aligned Meshes, 2015). Same input,
+/// same bits.
 std::vector<Direction<AcquisitionSpace>> smoothDirections(const AcquisitionMesh& mesh);
 
 /// What the shortest turn that takes normal `from` to normal `to` makes of `tangent`, a vector in the plane of `from`.

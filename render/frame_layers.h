@@ -24,7 +24,7 @@ struct LayerValues {
   const Direction<AcquisitionSpace>& view;
   std::span<const ChosenView> chosen;
   const HitSupport* support;  ///< null where no layer asks for it
-  int surfaces;  ///< blended at the hit: overlapping splats, or one triangle
+  int surfaces;               ///< blended at the hit: overlapping splats, or one triangle
 };
 
 /// The layers asked for, one image a channel.

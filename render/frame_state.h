@@ -75,7 +75,7 @@ struct FrameRenderer::State {
   std::optional<ViewSelection> selection;
   std::optional<LevelChoice> levels;
   std::optional<CaptureSupport> support;  ///< where layers or the summary ask for it
-  std::size_t working_bytes = 0;  ///< for blocks, operations and weights together
+  std::size_t working_bytes = 0;          ///< for blocks, operations and weights together
   std::optional<BlockCache> cache;
   std::optional<DeferredShading> shading;
   SharedStandIns stand_ins;

@@ -68,9 +68,8 @@ inline ImageF ballPicture(const BallPicture& picture,
 /// `radiance(point, direction)` of what the ball mirrors.
 inline ImageF mirrorPicture(const BallPicture& picture,
                             const std::function<double(const Vec3&, const Vec3&)>& radiance) {
-  return ballPicture(picture, [&](const Vec3& p, const Vec3& n, const Vec3& v) {
-    return radiance(p, 2 * dot(n, v) * n - v);
-  });
+  return ballPicture(picture,
+                     [&](const Vec3& p, const Vec3& n, const Vec3& v) { return radiance(p, 2 * dot(n, v) * n - v); });
 }
 
 /// Where the mirror image of a near light appears: the normal that halves the angle between viewer and light.

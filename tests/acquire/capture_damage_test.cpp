@@ -89,9 +89,10 @@ TEST_F(CaptureDamage, TheCleanOneIsQuiet) {
   EXPECT_EQ(report.count(Verdict::fault) + report.count(Verdict::warning), 0u) << shown(report);
   EXPECT_TRUE(report.mended.what.empty());
   for (const char* item : {"light table", "photographs upright", "exposure"})
-    EXPECT_TRUE(std::any_of(report.items.begin(), report.items.end(), [&](const CheckItem& i) {
-      return i.item == item && i.found.find("not looked at") == std::string::npos;
-    })) << item << "\n"
+    EXPECT_TRUE(std::any_of(
+        report.items.begin(), report.items.end(),
+        [&](const CheckItem& i) { return i.item == item && i.found.find("not looked at") == std::string::npos; }))
+        << item << "\n"
         << shown(report);
 }
 
@@ -253,8 +254,8 @@ TEST_F(CaptureDamage, ARotatedPhotographIsNamed) {
     };
     if (std::fabs(facing(p) - 0.6) < std::fabs(facing(photo) - 0.6)) photo = p;
   }
-  for (const Turn& turn : {Turn{"turned by 90 degrees clockwise", true, false, true},
-                           Turn{"turned by 180 degrees", false, true, true}}) {
+  for (const Turn& turn :
+       {Turn{"turned by 90 degrees clockwise", true, false, true}, Turn{"turned by 180 degrees", false, true, true}}) {
     damaged = clean;
     rewrite(4, photo, [&](ImageF& image) {
       const ImageF from = image;
@@ -299,7 +300,9 @@ TEST_F(CaptureDamage, NamesThatAreNoUtf8AreNamed) {
   std::string text = readTextFile(folder / "transforms.json");
   const auto at = text.find(".exr");
   ASSERT_NE(at, std::string::npos);
-  text.insert(at, "gr\xf6\xdf" "e");  // ISO 8859-1
+  text.insert(at,
+              "gr\xf6\xdf"
+              "e");  // ISO 8859-1
   writeTextFile(folder / "transforms.json", text);
   const CheckReport report = checkCapture(folder.path(), {}, Reporter::silent());
   const CheckItem* row = onlyAbout(report, Verdict::fault, "capture");
@@ -308,11 +311,10 @@ TEST_F(CaptureDamage, NamesThatAreNoUtf8AreNamed) {
 }
 
 TEST_F(CaptureDamage, ShinyAndConcaveObjectsAreNotAccused) {
-  for (const auto& [shape, material] :
-       {std::pair{SyntheticShape::bowl, SyntheticMaterial::plastic},
-        std::pair{SyntheticShape::box, SyntheticMaterial::gloss},
-        std::pair{SyntheticShape::torus, SyntheticMaterial::conductor},
-        std::pair{SyntheticShape::cylinder, SyntheticMaterial::velvet}}) {
+  for (const auto& [shape, material] : {std::pair{SyntheticShape::bowl, SyntheticMaterial::plastic},
+                                        std::pair{SyntheticShape::box, SyntheticMaterial::gloss},
+                                        std::pair{SyntheticShape::torus, SyntheticMaterial::conductor},
+                                        std::pair{SyntheticShape::cylinder, SyntheticMaterial::velvet}}) {
     SyntheticCaptureOptions options;
     options.shape = shape, options.material = material;
     options.views = 14, options.lights = 12, options.size = 64, options.supersampling = 2;

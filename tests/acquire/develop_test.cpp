@@ -140,9 +140,7 @@ TEST(Develop, AResponseIsMeasuredFromABracketAndComesBackFromItsFile) {
 
 TEST(Develop, DarkFrameAndFlatFieldAreUndone) {
   const int w = 200, h = 150;
-  const auto vignetting = [&](int x, int y) {
-    return 1 - 0.5 * (square((x - 99.5) / 100) + square((y - 74.5) / 100));
-  };
+  const auto vignetting = [&](int x, int y) { return 1 - 0.5 * (square((x - 99.5) / 100) + square((y - 74.5) / 100)); };
   std::mt19937_64 random(9);
   std::normal_distribution<double> normal;
   ImageF photo(w, h, 3), dark(w, h, 3), white(w, h, 3);

@@ -88,8 +88,7 @@ TEST(MirrorBall, LightsOfARenderedBallAreFoundToATenthOfADegree) {
     EXPECT_GT(fitted.covered, 0.9);
     EXPECT_LT(fitted.rms, 0.3);
     const Vec3 off = fitted.outline - *outlineOfBall(lens, ball);
-    for (int k = 0; k < 3; ++k)
-      EXPECT_LT(std::fabs(off[k]), 5 * std::sqrt(fitted.covariance.row[k][k]) + 2e-4) << k;
+    for (int k = 0; k < 3; ++k) EXPECT_LT(std::fabs(off[k]), 5 * std::sqrt(fitted.covariance.row[k][k]) + 2e-4) << k;
     for (std::size_t i = 0; i < lights.size(); ++i) {
       const auto highlight = findHighlight(images[i], lens, fitted.outline);
       ASSERT_TRUE(highlight) << i;
@@ -281,11 +280,12 @@ TEST(MirrorBall, ChromeBallOfTheSharedDataAgreesWithTheGreyBall) {
     grey_to_table += off(lambert->direction.raw(), table) / 12;
   }
   std::fclose(file);
-  std::printf("chrome ball: outline (%.2f, %.2f) radius %.2f px, rms %.2f px along %.0f %%; mask radius %.2f\n"
-              "mean angles: chrome to grey ball %.2f, chrome to lights.txt %.2f (worst %.2f; mask's circle %.2f), grey "
-              "to lights.txt %.2f degrees\n",
-              fitted.outline.x + chrome.lens.cx, fitted.outline.y + chrome.lens.cy, fitted.outline.z, fitted.rms,
-              100 * fitted.covered, chrome.circle.radius, to_grey, to_table, worst, mask_to_table, grey_to_table);
+  std::printf(
+      "chrome ball: outline (%.2f, %.2f) radius %.2f px, rms %.2f px along %.0f %%; mask radius %.2f\n"
+      "mean angles: chrome to grey ball %.2f, chrome to lights.txt %.2f (worst %.2f; mask's circle %.2f), grey "
+      "to lights.txt %.2f degrees\n",
+      fitted.outline.x + chrome.lens.cx, fitted.outline.y + chrome.lens.cy, fitted.outline.z, fitted.rms,
+      100 * fitted.covered, chrome.circle.radius, to_grey, to_table, worst, mask_to_table, grey_to_table);
   EXPECT_LE(to_grey, 2.0);
   EXPECT_LT(to_table, mask_to_table);
   EXPECT_LT(to_table, 2.8) << "2.71 measured; the bar of 2 is out of reach";

@@ -30,15 +30,15 @@ TEST(Color, MatricesAreThosePublished) {
   // IEC 61966-2-1, and the ACES reference implementation (AP0 to XYZ; AP1 to AP0).
   const Mat3 rec709{{Vec3{0.4124, 0.3576, 0.1805}, Vec3{0.2126, 0.7152, 0.0722}, Vec3{0.0193, 0.1192, 0.9505}}};
   EXPECT_LT(largestDifference(xyzFromColorSpace("lin_rec709"), rec709), 1e-4);
-  const Mat3 ap0{{Vec3{0.9525523959, 0, 0.0000936786}, Vec3{0.3439664498, 0.7281660966, -0.0721325464},
-                  Vec3{0, 0, 1.0088251844}}};
+  const Mat3 ap0{
+      {Vec3{0.9525523959, 0, 0.0000936786}, Vec3{0.3439664498, 0.7281660966, -0.0721325464}, Vec3{0, 0, 1.0088251844}}};
   EXPECT_LT(largestDifference(xyzFromColorSpace("ACES2065-1"), ap0), 1e-8);
   const Mat3 ap1_to_ap0{{Vec3{0.6954522414, 0.1406786965, 0.1638690622}, Vec3{0.0447945634, 0.8596711185, 0.0955343182},
                          Vec3{-0.0055258826, 0.0040252103, 1.0015006723}}};
   EXPECT_LT(largestDifference(colorMatrix("ACEScg", "ACES2065-1"), ap1_to_ap0), 1e-8);
   // OpenColorIO's configuration for ACES, AP1 to linear Rec.709, white adapted by Bradford.
-  const Mat3 ap1_to_rec709{{Vec3{1.70505, -0.62179, -0.08326}, Vec3{-0.13026, 1.14080, -0.01055},
-                            Vec3{-0.02400, -0.12897, 1.15297}}};
+  const Mat3 ap1_to_rec709{
+      {Vec3{1.70505, -0.62179, -0.08326}, Vec3{-0.13026, 1.14080, -0.01055}, Vec3{-0.02400, -0.12897, 1.15297}}};
   EXPECT_LT(largestDifference(colorMatrix("ACEScg", "lin_rec709"), ap1_to_rec709), 2e-5);
 }
 
@@ -68,8 +68,8 @@ TEST(Color, EveryPairComesBackAndWhiteStaysWhite) {
 
 TEST(Color, UnknownNamesAreRefused) {
   unsetenv("OCIO");
-  for (const auto& [from, to] : {std::pair{"sRGB-ish", "ACEScg"}, std::pair{"ACEScg", "Rec.2020"},
-                                 std::pair{"nothing", "nothing"}}) {
+  for (const auto& [from, to] :
+       {std::pair{"sRGB-ish", "ACEScg"}, std::pair{"ACEScg", "Rec.2020"}, std::pair{"nothing", "nothing"}}) {
     try {
       ColorConversion conversion(from, to);
       ADD_FAILURE() << from << " " << to;

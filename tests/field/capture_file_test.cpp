@@ -121,8 +121,8 @@ TEST_F(CaptureFile, NerfstyleSetIsACaptureOfOneUnknownLight) {
 TEST_F(CaptureFile, KeysOfOtherToolsAreAccepted) {
   Json root = sample();
   root["applied_transform"] = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}};
-  for (const char* key : {"aabb_scale", "ply_file_path", "orientation_override", "scale", "offset",
-                          "train_filenames", "camera_angle_x", "camera_angle_y", "n_extra_learnable_dims"})
+  for (const char* key : {"aabb_scale", "ply_file_path", "orientation_override", "scale", "offset", "train_filenames",
+                          "camera_angle_x", "camera_angle_y", "n_extra_learnable_dims"})
     root[key] = 1;
   for (const char* key : {"sharpness", "colmap_im_id", "depth_file_path"}) root["frames"][0][key] = 1;
   EXPECT_EQ(read(root).views.size(), 2u);

@@ -72,8 +72,8 @@ LeftOut leaveEachLightOut(const std::filesystem::path& data, const std::string& 
 TEST(LeftOutLight, PlainInterpolationBesideALambertFit) {
   SRF_REQUIRE_DATA(data, "uw-psm");
   const LeftOut grey = leaveEachLightOut(data, "gray"), cat = leaveEachLightOut(data, "cat");
-  std::printf("a light left out, relative RMSE: gray plain %.4f Lambert %.4f, cat plain %.4f Lambert %.4f\n", grey.plain,
-              grey.lambert, cat.plain, cat.lambert);
+  std::printf("a light left out, relative RMSE: gray plain %.4f Lambert %.4f, cat plain %.4f Lambert %.4f\n",
+              grey.plain, grey.lambert, cat.plain, cat.lambert);
   // As measured; what passes these has become worse.
   EXPECT_LT(grey.plain, 0.114);
   EXPECT_LT(cat.plain, 0.134);
