@@ -60,6 +60,8 @@ fi
   row "1024 x 1024 pixels" --set /camera/w=1024 --set /camera/h=1024
   row "1024 x 1024, preview" --set /camera/w=1024 --set /camera/h=1024 --set /accuracy/views=2 --set /accuracy/light_sharing=8
   row "one thread" --threads 1
+  row "guided, 8 shadow rays a hit" --set '/interpolation="guided"' --set /accuracy/shadow_rays=8 --repeats 5
+  row "guided, 32 shadow rays a hit" --set '/interpolation="guided"' --set /accuracy/shadow_rays=32 --repeats 5
   echo
   echo "## Deforming and refitting a million triangles"
   echo
