@@ -13,6 +13,7 @@
 #include "base/files.h"
 #include "base/json.h"
 #include "base/numeric.h"
+#include "base/text.h"
 #include "field/reflectance_store.h"
 #include "render/frame_renderer.h"
 
@@ -421,16 +422,11 @@ void writeCaptureStudy(const std::filesystem::path& file, const CaptureStudy& st
 
 std::string captureTable(const CaptureStudy& study) {
   std::string out = "left_out,interpolation,views,lights,view,light,psnr_db,ssim,flip,relative_error\n";
-  const auto quoted = [](const std::string& text) {
-    std::string in_quotes = "\"";
-    for (const char c : text) in_quotes += c == '"' ? std::string("\"\"") : std::string(1, c);
-    return in_quotes + "\"";
-  };
   for (const HoldoutCase& c : study.cases)
     for (const PredictedPicture& p : c.pictures)
       out += format("%s,%s,%d,%.6g,", kUnseen[static_cast<int>(c.unseen)], c.subset.guided ? "guided" : "plain",
                     c.subset.views, c.subset.lights) +
-             quoted(p.view) + "," + quoted(p.light) +
+             csvQuoted(p.view) + "," + csvQuoted(p.light) +
              format(",%.4f,%.6f,%.6f,%.6g\n", p.score.figures.psnr, p.score.figures.ssim, p.score.figures.flip,
                     std::sqrt(p.score.difference2 / p.score.square2));
   return out;

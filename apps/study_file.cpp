@@ -8,6 +8,7 @@
 #include "base/error.h"
 #include "base/image_metrics.h"
 #include "base/json.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
@@ -194,10 +195,9 @@ std::string studyTable(const Study& study) {
   for (const MeasuredSetting& m : study.measured) {
     std::string keys;
     for (const std::string& set : overridesOf(m.keys)) keys += (keys.empty() ? "" : " ") + set;
-    std::string quoted = "\"";
-    for (const char c : keys) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
+    const std::string quoted = csvQuoted(keys);
     for (std::size_t f = 0; f < study.frames.size(); ++f) {
-      out += quoted + format("\",%zu,%d,%.6g,%.6g,%.6g,%.0f,%.0f", m.memory_bytes, study.frames[f], m.seconds[f],
+      out += quoted + format(",%zu,%d,%.6g,%.6g,%.6g,%.0f,%.0f", m.memory_bytes, study.frames[f], m.seconds[f],
                              m.spread, m.cold, m.bytes_read, m.peak_bytes);
       const auto errors = [&](const std::vector<FrameError>& of) {
         if (of.empty()) return std::string(",,,,,,");

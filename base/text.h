@@ -1,4 +1,4 @@
-// Numbers as messages show them.
+// Numbers as messages show them, words as tables hold them.
 #pragma once
 
 #include <cstdio>
@@ -11,6 +11,13 @@ inline std::string shortNumber(double x) {
   char text[32];
   std::snprintf(text, sizeof text, "%g", x);
   return text;
+}
+
+/// A field of a CSV file, in quotes.
+inline std::string csvQuoted(const std::string& text) {
+  std::string quoted = "\"";
+  for (const char c : text) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
+  return quoted + "\"";
 }
 
 }  // namespace srf

@@ -157,9 +157,9 @@ void AcquiredLights::ranked(const Direction<AcquisitionSpace>& direction, const 
     for (std::size_t c = 0; c < count; ++c)
       if (floored(chord2[c]) <= tie) scratch.push_back({chord2[c], candidates[c]});
   }
-  for (std::size_t at = 0; at < scratch.size(); at += kViewLanes) {
-    double angle[kViewLanes] = {};
-    const std::size_t some = std::min(kViewLanes, scratch.size() - at);
+  for (std::size_t at = 0; at < scratch.size(); at += kVectorLanes) {
+    double angle[kVectorLanes] = {};
+    const std::size_t some = std::min(kVectorLanes, scratch.size() - at);
     for (std::size_t i = 0; i < some; ++i) angle[i] = scratch[at + i].penalty;
     chordAngles(angle, some);
     for (std::size_t i = 0; i < some; ++i) scratch[at + i].penalty = angle[i];

@@ -82,8 +82,8 @@ GuidedLighting::GuidedLighting(const ReflectanceFit& fit, const FrameLighting& l
       views_(views),
       list_of_view_(list_of_view),
       options_(options),
-      distant_lanes_(guidedLanes(lighting.lights().distant.size())),
-      near_lanes_(guidedLanes(lighting.lights().near_lights.size())),
+      distant_lanes_(paddedLanes(lighting.lights().distant.size())),
+      near_lanes_(paddedLanes(lighting.lights().near_lights.size())),
       offset_(std::max(kRayOffset * occluders.model().bounds().diameter(), occluders.model().positional_error)),
       corrected_(fit.lit.words() != fit.lit_by_rays.words()) {
   energy_.assign(distant_lanes_, 0);
@@ -479,14 +479,14 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
     const std::array<float, 3> direction{captured.direction.x[*at], captured.direction.y[*at],
                                          captured.direction.z[*at]};
     for (int c = 0; c < 3; ++c) {
-      l[c].assign(kGuidedLanes, direction[c]);
-      e[c].assign(kGuidedLanes, 0);
+      l[c].assign(kVectorLanes, direction[c]);
+      e[c].assign(kVectorLanes, 0);
       e[c][0] = block.gate[*at] * static_cast<float>(rest.scale) * block.lit[*at] * captured.irradiance[c][*at];
       if (!options_.model_alone) block.model[c][*at] += e[c][0];
     }
     ModelOfPoint model = modelOfPoint(hit.reflectance);
     const ModelView view = addView(model, hit.reflectance, floats(hit.query.view.raw()), 1);
-    add(list_share, modelSums(model, &view, 1, lanesOf(l), channels(std::as_const(e)), kGuidedLanes));
+    add(list_share, modelSums(model, &view, 1, lanesOf(l), channels(std::as_const(e)), kVectorLanes));
     block.model_values += 1;
   }
 
@@ -519,7 +519,7 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
       block.model_views.push_back(addView(model, hit.reflectance, view, static_cast<float>(chosen.weight)));
     }
     add(-1, modelSums(model, block.model_views.data(), block.model_views.size(), lanesOf(block.used_direction),
-                      channels(std::as_const(block.used_amount)), guidedLanes(used)));
+                      channels(std::as_const(block.used_amount)), paddedLanes(used)));
     block.model_values += used * block.model_views.size();
   }
   if (photographs + lights.rest.size() <= LightGather::fewEntries(list.count())) {

@@ -36,7 +36,7 @@ struct GuidedQuery {
   std::span<const ChosenView> chosen;  ///< weights sum 1
 };
 
-/// The hits of one block of pixels on their way, and memory for it. Arrays hold whole kernel widths (guidedLanes).
+/// The hits of one block of pixels on their way, and memory for it. Arrays hold whole kernel widths (paddedLanes).
 struct GuidedBlock {
   struct Hit {
     GuidedQuery query;

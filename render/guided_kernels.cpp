@@ -17,10 +17,10 @@ namespace srf {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-using F = hn::CappedTag<float, kGuidedLanes>;
+using F = hn::CappedTag<float, kVectorLanes>;
 using I = hn::RebindToSigned<F>;
 constexpr std::size_t kLanes = hn::MaxLanes(F());
-constexpr std::size_t kParts = kGuidedLanes / kLanes;
+constexpr std::size_t kParts = kVectorLanes / kLanes;
 using V = hn::Vec<F>;
 
 // A captured light this low over the surface tells nothing of it.
@@ -28,9 +28,9 @@ constexpr float kLowest = 0.05f, kLowEnough = 0.12f;
 
 // 16 lanes to their sum, in halves.
 float fold(V* parts) {
-  alignas(64) float lane[kGuidedLanes];
+  alignas(64) float lane[kVectorLanes];
   for (std::size_t p = 0; p < kParts; ++p) hn::Store(parts[p], F(), lane + p * kLanes);
-  for (std::size_t left = kGuidedLanes / 2; left > 0; left /= 2)
+  for (std::size_t left = kVectorLanes / 2; left > 0; left /= 2)
     for (std::size_t i = 0; i < left; ++i) lane[i] += lane[i + left];
   return lane[0];
 }
@@ -94,7 +94,7 @@ void sums(const ModelOfPoint& m, const ModelView* views, std::size_t view_count,
   V sum[3][kParts];
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
-  for (std::size_t i = 0; i < count; i += kGuidedLanes)
+  for (std::size_t i = 0; i < count; i += kVectorLanes)
     for (std::size_t p = 0; p < kParts; ++p) {
       const std::size_t at = i + p * kLanes;
       const V x = hn::LoadU(f, lights.x + at), y = hn::LoadU(f, lights.y + at), z = hn::LoadU(f, lights.z + at);
@@ -158,7 +158,7 @@ void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& l
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
   std::size_t found = 0;
-  for (std::size_t i = 0; i < count; i += kGuidedLanes)
+  for (std::size_t i = 0; i < count; i += kVectorLanes)
     for (std::size_t p = 0; p < kParts; ++p) {
       const std::size_t at = i + p * kLanes;
       const V x = hn::LoadU(f, lights.direction.x + at), y = hn::LoadU(f, lights.direction.y + at),
@@ -236,7 +236,7 @@ void residual(const ResidualShares& s, const CapturedLanes& lights, float most_r
   };
   V standing[kParts], reaching[kParts];
   for (std::size_t p = 0; p < kParts; ++p) standing[p] = reaching[p] = zero;
-  for (std::size_t i = 0; i < count; i += kGuidedLanes)
+  for (std::size_t i = 0; i < count; i += kVectorLanes)
     for (std::size_t p = 0; p < kParts; ++p) {
       const Light light = read(i + p * kLanes);
       const V all = hn::Add(hn::Add(light.irradiance[0], light.irradiance[1]), light.irradiance[2]);
@@ -286,7 +286,7 @@ std::size_t used(const CapturedLanes& lights, std::size_t count, const std::arra
       for (int c = 0; c < 3; ++c) to.model[c][found] = taken[c][lane];
     }
   }
-  for (std::size_t i = found; i < guidedLanes(found); ++i) {
+  for (std::size_t i = found; i < paddedLanes(found); ++i) {
     to.direction[0][i] = to.direction[1][i] = 0, to.direction[2][i] = 1;
     for (int c = 0; c < 3; ++c) to.model[c][i] = 0;
   }

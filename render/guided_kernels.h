@@ -1,5 +1,5 @@
 // Sums of the fitted model over many lights of a hit, and what captured lights say of it: kernels of
-// guided_interpolation over plain arrays, one array an axis or channel. Arrays hold a multiple of kGuidedLanes; what
+// guided_interpolation over plain arrays, one array an axis or channel. Arrays hold a multiple of kVectorLanes; what
 // lies beyond their count is finite and has amount 0. The same bits in every instruction set: sums run in 16 lanes,
 // folded in halves.
 #pragma once
@@ -10,13 +10,9 @@
 
 #include "base/vec.h"
 #include "model/reflectance_model.h"
+#include "render/vector_lanes.h"
 
 namespace srf {
-
-inline constexpr std::size_t kGuidedLanes = 16;
-constexpr std::size_t guidedLanes(std::size_t count) {
-  return (count + kGuidedLanes - 1) / kGuidedLanes * kGuidedLanes;
-}
 
 /// Unit directions to lights.
 struct DirectionLanes {
@@ -110,7 +106,7 @@ void residualAmounts(const ResidualShares& shares, const CapturedLanes& lights, 
 
 /// Ends the amounts of a hit: photograph[c] *= inverse[c], into out[c]; model[c] = 0 where inverse[c] is. Copies
 /// direction and model of the lights whose model is not 0 to `used`, one after the other and then amounts of 0 up to
-/// guidedLanes. Returns how many of these there are, and in `photographs` how many lights have a photograph.
+/// paddedLanes. Returns how many of these there are, and in `photographs` how many lights have a photograph.
 struct UsedLanes {
   std::array<float*, 3> direction, model;
 };

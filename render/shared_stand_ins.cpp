@@ -2,7 +2,7 @@
 
 #include <mutex>
 
-#include "render/guided_kernels.h"
+#include "render/vector_lanes.h"
 
 namespace srf {
 
@@ -21,7 +21,7 @@ const SharedStandIns::Corner& SharedStandIns::at(const SharedKey& key, const Fra
   }
   auto corner = std::make_unique<Corner>();
   corner->weights.resize(3 * static_cast<std::size_t>(lightPad(lighting.lists()[key.list].count())));
-  corner->nearest.resize(guidedLanes(lighting.lights().distant.size()));
+  corner->nearest.resize(paddedLanes(lighting.lights().distant.size()));
   lighting.computeShared(key, corner->weights.data(), corner->nearest.data());
   const std::unique_lock lock(mutex_);
   const auto [entry, added] = corners_.try_emplace(key, std::move(corner));  // another thread may have been first

@@ -17,7 +17,7 @@ namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
 void bounds(const float* x, const float* y, const float* z, std::size_t count, const NearQuery& query, float* bound) {
-  const hn::CappedTag<float, kViewLanes> f;
+  const hn::CappedTag<float, kVectorLanes> f;
   const auto px = hn::Set(f, query.p[0]), py = hn::Set(f, query.p[1]), pz = hn::Set(f, query.p[2]);
   const auto vx = hn::Set(f, query.v[0]), vy = hn::Set(f, query.v[1]), vz = hn::Set(f, query.v[2]);
   const auto inverse_eye = hn::Set(f, query.inverse_eye), one = hn::Set(f, 1.f), zero = hn::Zero(f);
@@ -40,7 +40,7 @@ void bounds(const float* x, const float* y, const float* z, std::size_t count, c
 
 void place(const Camera<AcquisitionSpace>& camera, double least_foreshortening, const HitLanes& hits, std::size_t count,
            const ViewLanes& out) {
-  const hn::CappedTag<double, kViewLanes> d;
+  const hn::CappedTag<double, kVectorLanes> d;
   const bool orthographic = camera.lens.isOrthographic();
   const Mat3& rotation = camera.pose.rotation().raw();  // columns: the camera's axes
   const Vec3 forward = camera.forward().raw(), center = camera.center().raw();
@@ -89,7 +89,7 @@ void place(const Camera<AcquisitionSpace>& camera, double least_foreshortening, 
 }
 
 void chords(const Vec3& from, const double* x, const double* y, const double* z, std::size_t count, double* squared) {
-  const hn::CappedTag<double, kViewLanes> d;
+  const hn::CappedTag<double, kVectorLanes> d;
   const auto fx = hn::Set(d, from.x), fy = hn::Set(d, from.y), fz = hn::Set(d, from.z);
   std::size_t i = 0;
   for (; i + hn::Lanes(d) <= count; i += hn::Lanes(d)) {
@@ -104,7 +104,7 @@ void chords(const Vec3& from, const double* x, const double* y, const double* z,
 }
 
 void angles(double* chord2, std::size_t count) {
-  const hn::CappedTag<double, kViewLanes> d;
+  const hn::CappedTag<double, kVectorLanes> d;
   const auto half = hn::Set(d, 0.5), two = hn::Set(d, 2.0), four = hn::Set(d, 4.0), zero = hn::Zero(d);
   for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
     const auto c2 = hn::LoadU(d, chord2 + i);

@@ -1,17 +1,13 @@
 // How captured views lie to hits, many at a time: kernels of view_selection over plain arrays. Arrays are padded to
-// whole vectors: kernels read and write up to kViewLanes elements beyond the count, rounded up.
+// whole vectors: kernels read and write up to kVectorLanes elements beyond the count, rounded up.
 #pragma once
 
 #include <cstddef>
 
 #include "base/camera.h"
+#include "render/vector_lanes.h"
 
 namespace srf {
-
-inline constexpr std::size_t kViewLanes = 16;
-constexpr std::size_t paddedLanes(std::size_t count) {
-  return (count + kViewLanes - 1) / kViewLanes * kViewLanes;
-}
 
 /// A desired ray and the viewer, in units about an origin near the point.
 struct NearQuery {

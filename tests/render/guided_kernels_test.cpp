@@ -24,8 +24,8 @@ struct Lights {
     std::normal_distribution<double> normal;
     std::uniform_real_distribution<float> uniform(0, 2);
     for (int c = 0; c < 3; ++c) {
-      direction[c].assign(guidedLanes(count), c == 2 ? 1.f : 0.f);
-      amount[c].assign(guidedLanes(count), 0);
+      direction[c].assign(paddedLanes(count), c == 2 ? 1.f : 0.f);
+      amount[c].assign(paddedLanes(count), 0);
     }
     for (std::size_t i = 0; i < count; ++i) {
       const Vec3 d = normalize(Vector<AcquisitionSpace>(normal(random), normal(random), normal(random)))->raw();
@@ -84,7 +84,7 @@ TEST(GuidedKernels, SumsOfTheModelStayWithinTheirStatedErrorWhateverTheViewsAndT
       }
     }
     const auto got = modelSums(model, views.data(), views.size(), lights.lanes(), constant(lights.amount),
-                               guidedLanes(lights.count));
+                               paddedLanes(lights.count));
     for (int c = 0; c < 3; ++c) ASSERT_NEAR(got[c], want[c], 1e-4 * scale[c]) << "trial " << trial;
 
     // Mirrored, lights and all: the same sums.
@@ -92,7 +92,7 @@ TEST(GuidedKernels, SumsOfTheModelStayWithinTheirStatedErrorWhateverTheViewsAndT
     const Mat3 mirror{{Vec3{0, 1, 0}, Vec3{1, 0, 0}, Vec3{0, 0, 1}}};
     turn(model, views[0], mirror);
     const DirectionLanes turned{lights.direction[1].data(), lights.direction[0].data(), lights.direction[2].data()};
-    const auto there = modelSums(model, views.data(), 1, turned, constant(lights.amount), guidedLanes(lights.count));
+    const auto there = modelSums(model, views.data(), 1, turned, constant(lights.amount), paddedLanes(lights.count));
     for (int c = 0; c < 3; ++c) ASSERT_NEAR(there[c], want[c], 1e-4 * scale[c]) << "trial " << trial;
   }
 }
@@ -101,7 +101,7 @@ TEST(GuidedKernels, DistantLightsCountAsTheyAreSeenOrAsTheCapturedLightAboutThem
   std::mt19937 random(6);
   for (int trial = 0; trial < 100; ++trial) {
     Lights lights(1 + random() % 300, random);
-    const std::size_t lanes = guidedLanes(lights.count);
+    const std::size_t lanes = paddedLanes(lights.count);
     const PointReflectance point = randomPoint(random);
     ModelOfPoint model = modelOfPoint(point);
     const ModelView view = addView(model, point, floats(randomDirection(random)), 1);
@@ -149,7 +149,7 @@ TEST(GuidedKernels, TheBrightestAreThoseOfASortAlsoWhereTheyTie) {
   std::mt19937 random(7);
   for (int trial = 0; trial < 300; ++trial) {
     const std::size_t count = 1 + random() % 260, most = random() % 70;
-    std::vector<float> key(guidedLanes(count), 0);
+    std::vector<float> key(paddedLanes(count), 0);
     std::uniform_real_distribution<float> uniform(-1, 1);
     for (std::size_t i = 0; i < count; ++i)
       key[i] = trial % 3 == 0 ? static_cast<float>(random() % 4) : std::max(0.f, uniform(random));
@@ -186,7 +186,7 @@ TEST(GuidedKernels, SharesAreSumsOfTheBitsThatAreSet) {
 TEST(GuidedKernels, WhatIsUsedIsWhatCountsAndDarkLightsHoldNothing) {
   std::mt19937 random(9);
   const Lights lights(37, random);
-  const std::size_t lanes = guidedLanes(lights.count);
+  const std::size_t lanes = paddedLanes(lights.count);
   std::array<std::vector<float>, 3> inverse, photograph, model, direction, used;
   std::vector<float> known(lanes, 1), own(3 * lanes);
   for (int c = 0; c < 3; ++c) {
@@ -215,7 +215,7 @@ TEST(GuidedKernels, WhatIsUsedIsWhatCountsAndDarkLightsHoldNothing) {
   }
   EXPECT_EQ(count, at);
   EXPECT_EQ(photographs, want_photographs);
-  for (; at < guidedLanes(count); ++at) EXPECT_EQ(used[0][at], 0);
+  for (; at < paddedLanes(count); ++at) EXPECT_EQ(used[0][at], 0);
 }
 
 }  // namespace
