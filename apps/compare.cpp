@@ -21,6 +21,8 @@ void print(const ImageDifference& d) {
   line("full", d.full);
   std::printf("peak %.6g, display white %.6g, bias inside %+.5f, pixels not finite %zu\n", d.peak, d.white, d.bias,
               d.not_finite);
+  std::printf("relative error of a pixel: mean %.4g %%, 99.9th percentile %.4g %%\n", 100 * d.relative_error,
+              100 * d.relative_error_tail);
 }
 
 void printJson(const ImageDifference& d) {
@@ -37,6 +39,8 @@ void printJson(const ImageDifference& d) {
   put("in", d.inside);
   put("full", d.full);
   out["in_bias"] = d.bias;
+  out["relative_error_mean"] = d.relative_error;
+  out["relative_error_p99_9"] = d.relative_error_tail;
   std::printf("%s\n", out.dump().c_str());
 }
 

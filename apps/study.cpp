@@ -24,8 +24,9 @@ using html::format;
 
 constexpr int kPasses = 2;          // of a setting over the frames
 constexpr int kLeastPicture = 96;   // pixels a side that a study's pictures keep
-constexpr double kFullSize = 0.05;  // of the budget: what a setting's time at full size may cost
 constexpr double kOneAtATime = 18;  // settings of about the exact one's cost; a planning figure
+// Of the budget: where one knob at a time should end, and where the search does, for times at full size to follow.
+constexpr double kKnobsEnd = 0.5, kSearchEnd = 0.8;
 
 /// "90", "90s", "10m", "1.5h" to seconds.
 double parseBudget(const std::string& text) {
@@ -66,6 +67,7 @@ class Studying {
     open(scene);
     if (study_.exact.empty()) plan(scene);
     study_.knobs = knobsOf(study_.exact, study_.own, options_.memory_bytes);
+    measureExact(scene);
     const bool whole = measureAll();
     study_.complete = whole;
     save();
@@ -167,7 +169,8 @@ class Studying {
     const auto counters = quiet.counters();
     probe.shadow_rays = counters.contains("shadow_rays");
     probe.guided = counters.contains("model_values") && scene.interpolation != Interpolation::plain;
-    const double a_frame = 0.5 * options_.budget / (kOneAtATime * kPasses * static_cast<double>(study_.frames.size()));
+    const double a_frame =
+        kKnobsEnd * options_.budget / (kOneAtATime * kPasses * static_cast<double>(study_.frames.size()));
     study_.own = ownSetting(scene, probe);
     study_.exact = exactSetting(scene, probe, a_frame);
     choosePictureSize(scene, exactSeconds(scene, probe, study_.exact), a_frame);
@@ -178,7 +181,9 @@ class Studying {
     const auto* look_at = std::get_if<LookAtCamera>(&scene.camera);
     if (!look_at || !options_.reference.empty()) return;
     const int least = std::min(look_at->width, look_at->height);
-    while (seconds / square(study_.divisor) > a_frame && least / (study_.divisor + 1) >= kLeastPicture)
+    const int before = study_.divisor;
+    while (seconds * square(static_cast<double>(before) / study_.divisor) > a_frame &&
+           least / (study_.divisor + 1) >= kLeastPicture)
       ++study_.divisor;
   }
   std::vector<std::string> overrides(const Scene& scene, const SceneKeys& keys) const {
@@ -190,23 +195,26 @@ class Studying {
     }
     return out;
   }
-  /// How many times as long a frame of full size takes as the study's own: measured for the scene as it is, and for
-  /// combinations where that is cheap; else as many times as it has pixels, which is more.
-  double fullSizeFactor(const SceneKeys& keys, std::size_t memory, double small_seconds, Reporter& quiet) {
-    const double pixels = square(study_.divisor);
-    if (study_.divisor == 1) return 1;
-    const bool own = keys == study_.own && !memory;
-    const double foretold = kPasses * small_seconds * (own_factor_ > 0 ? own_factor_ : pixels);
-    if (!own && (!searching_ || foretold > kFullSize * options_.budget)) return pixels;
+  /// Seconds of a warm frame of full size.
+  double fullSizeSeconds(const SceneKeys& keys) const {
+    Reporter quiet(ProgressMode::none, LogLevel::error);
     AnimationOptions options = animationOptions();
-    if (memory) options.memory_bytes = memory;
     options.output = (folder_ / "frames" / "full.####.exr").string();
     options.frames.assign(kPasses, middleFrame());
     const auto frames = renderAnimation(readScene(options_.scene, overridesOf(keys), quiet), options, quiet);
     fs::remove(frameFile(options.output, middleFrame()));
-    const double factor = frames.back().seconds / small_seconds;
-    if (own) own_factor_ = factor;
-    return factor;
+    return frames.back().seconds;
+  }
+  /// Times of the study's own pictures become those of full size: measured, or as many times longer as there are more
+  /// pixels, which is too long rather than too short.
+  void toFullSize(MeasuredSetting& m, bool measured) const {
+    const double before = m.full_size;
+    const double small = m.seconds[study_.frames.size() / 2] / before;
+    m.full_size = measured ? fullSizeSeconds(m.keys) / small : square(study_.divisor);
+    m.full_size_measured = measured || study_.divisor == 1;
+    const double change = m.full_size / before;
+    for (double& seconds : m.seconds) seconds *= change;
+    m.spread *= change, m.cold *= change;
   }
 
   AnimationOptions animationOptions() const {
@@ -216,32 +224,57 @@ class Studying {
     return options;
   }
 
-  /// False where the budget ended it.
-  bool measureAll() {
+  /// The all-exact pictures; smaller ones than planned where they turn out to take too long.
+  void measureExact(const Scene& scene) {
     bool exact_kept = study_.find(study_.exact) != nullptr;
     for (const int frame : study_.frames) exact_kept &= fs::exists(frameFile(pattern(study_.exact), frame));
     if (!exact_kept) {
       std::erase_if(study_.measured,
                     [&](const MeasuredSetting& m) { return m.keys == study_.exact && !m.memory_bytes; });
       measure(study_.exact, 0);
+      const int planned = study_.divisor;
+      const double renderings = kPasses * static_cast<double>(study_.frames.size());
+      if (study_.measured.size() == 1)
+        choosePictureSize(scene, last_seconds_ / renderings,
+                          (kKnobsEnd * options_.budget - elapsed()) / (kOneAtATime * renderings));
+      if (study_.divisor != planned) {
+        study_.measured.clear();
+        measure(study_.exact, 0);
+      }
     }
+  }
+
+  /// False where the budget ended it.
+  bool measureAll() {
     std::vector<std::pair<SceneKeys, std::size_t>> todo{{study_.own, 0}};
     for (const Knob& knob : study_.knobs)
       for (std::size_t i = 0; i < knob.values.size(); ++i)
         todo.emplace_back(knob.values[i], knob.memory.empty() ? 0 : knob.memory[i]);
-    if (!measureList("one knob at a time", todo)) return false;
+    if (!measureList("one knob at a time", todo, options_.budget)) return false;
     todo.clear();
-    searching_ = true;
     for (const SceneKeys& keys : worthTrying(study_)) todo.emplace_back(keys, 0);
-    return measureList("search", todo);
+    const bool searched = measureList("search", todo, kSearchEnd * options_.budget);
+    return measureFrontAtFullSize() && searched;
   }
 
-  bool measureList(const std::string& name, std::vector<std::pair<SceneKeys, std::size_t>> todo) {
+  /// What srf render chooses from; the fastest first, for a time that becomes shorter can push others off the front.
+  bool measureFrontAtFullSize() {
+    for (;;) {
+      const auto front = study_.front();
+      const auto next = std::find_if(front.begin(), front.end(), [](const auto* m) { return !m->full_size_measured; });
+      if (next == front.end()) return true;
+      if (elapsed() + kPasses * (*next)->worstSeconds() > options_.budget) return false;
+      toFullSize(study_.measured[static_cast<std::size_t>(*next - study_.measured.data())], true);
+      save();
+    }
+  }
+
+  bool measureList(const std::string& name, std::vector<std::pair<SceneKeys, std::size_t>> todo, double end) {
     std::erase_if(todo, [&](const auto& entry) { return study_.find(entry.first, entry.second) != nullptr; });
     if (todo.empty()) return true;
     Reporter::Stage stage(reporter_, name, todo.size());
     for (const auto& [keys, memory] : todo) {
-      if (elapsed() + last_seconds_ > options_.budget) return false;
+      if (elapsed() + last_seconds_ > end) return false;
       if (!study_.find(keys, memory)) measure(keys, memory);
       stage.advance();
     }
@@ -277,10 +310,7 @@ class Studying {
       if (keys != study_.exact && study_.frames[f] != middleFrame()) fs::remove(frames[f].file);
     }
     if (memory) fs::remove(frameFile(options.output, middleFrame()));
-    Reporter full_size(ProgressMode::none, LogLevel::error);
-    const double factor = fullSizeFactor(keys, memory, m.seconds[count / 2], full_size);
-    for (double& seconds : m.seconds) seconds *= factor;
-    m.spread *= factor, m.cold *= factor;
+    toFullSize(m, study_.divisor > 1 && keys == study_.own && !memory);
     const auto figures = quiet.figures();
     const auto figure = [&](const char* name) { return figures.contains(name) ? figures.at(name) : 0; };
     m.bytes_read = figure("cache.bytes_read");
@@ -309,8 +339,6 @@ class Studying {
   Study study_;
   std::size_t rendered_ = 0;
   double last_seconds_ = 0;
-  double own_factor_ = 0;  // of fullSizeFactor, of the scene as it is; 0: not measured
-  bool searching_ = false;
 };
 
 void runCaptureStudy(const fs::path& srf_folder, const fs::path& output, const CaptureStudyOptions& options,

@@ -59,6 +59,8 @@ Json settingToJson(const MeasuredSetting& m) {
   out["seconds"] = m.seconds;
   out["seconds_spread"] = m.spread;
   out["seconds_cold"] = m.cold;
+  out["full_size_factor"] = m.full_size;
+  out["full_size_measured"] = m.full_size_measured;
   out["bytes_read"] = m.bytes_read;
   out["peak_cache_bytes"] = m.peak_bytes;
   out["against_exact"] = errorsToJson(m.exact);
@@ -73,6 +75,8 @@ MeasuredSetting settingFrom(const JsonNode& node, std::size_t frames) {
   m.seconds = node["seconds"].numbers(frames);
   m.spread = node["seconds_spread"].number();
   m.cold = node["seconds_cold"].number();
+  if (const auto factor = node.find("full_size_factor")) m.full_size = factor->positiveNumber();
+  if (const auto measured = node.find("full_size_measured")) m.full_size_measured = measured->boolean();
   m.bytes_read = node["bytes_read"].number();
   m.peak_bytes = node["peak_cache_bytes"].number();
   m.exact = errorsFrom(node["against_exact"]);
@@ -91,26 +95,12 @@ std::vector<std::string> overridesOf(const SceneKeys& keys) {
 
 FrameError frameError(const ImageF& image, const ImageF& reference) {
   const ImageDifference d = compareImages(image, reference);
-  std::vector<double> errors;
-  const int channels = std::min(3, reference.channels());
-  for (int y = 0; y < reference.height(); ++y)
-    for (int x = 0; x < reference.width(); ++x) {
-      double brightest = 0, shown = 0, difference = 0;
-      for (int c = 0; c < channels; ++c) {
-        const double value = image.at(x, y, c), truth = reference.at(x, y, c);
-        brightest = std::max(brightest, truth);
-        shown = std::max(shown, value);
-        difference = std::max(difference, std::fabs(value - truth));
-      }
-      if (brightest > 0 || shown > 0) errors.push_back(difference / (brightest + d.peak / 100));
-    }
-  FrameError out{
-      .psnr = d.inside.psnr, .relative_mse = d.inside.relative_mse, .ssim = d.inside.ssim, .flip = d.inside.flip};
-  for (const double e : errors) out.mean += e / static_cast<double>(errors.size());
-  const auto rank = static_cast<std::ptrdiff_t>(0.999 * static_cast<double>(errors.size() - 1));
-  std::nth_element(errors.begin(), errors.begin() + rank, errors.end());
-  out.percentile = errors[static_cast<std::size_t>(rank)];
-  return out;
+  return {.mean = d.relative_error,
+          .percentile = d.relative_error_tail,
+          .psnr = d.inside.psnr,
+          .relative_mse = d.inside.relative_mse,
+          .ssim = d.inside.ssim,
+          .flip = d.inside.flip};
 }
 
 double MeasuredSetting::worstError() const {
@@ -139,6 +129,22 @@ std::vector<const MeasuredSetting*> Study::front() const {
   for (const MeasuredSetting* m : sorted)
     if (best.empty() || m->worstError() < best.back()->worstError()) best.push_back(m);
   return best;
+}
+
+KnobCurve curveOf(const Study& study, const Knob& knob) {
+  KnobCurve curve;
+  double most_error = 0, least_time = HUGE_VAL;
+  for (std::size_t i = 0; i < knob.values.size(); ++i) {
+    const MeasuredSetting* m = study.find(knob.values[i], knob.memory.empty() ? 0 : knob.memory[i]);
+    if (!m) continue;
+    curve.measured.push_back(m);
+    curve.labels.push_back(knob.labels[i]);
+    if (most_error > 0) curve.error_back = std::max(curve.error_back, 1 - m->worstError() / most_error);
+    curve.time_back = std::max(curve.time_back, m->worstSeconds() / least_time - 1);
+    most_error = std::max(most_error, m->worstError());
+    least_time = std::min(least_time, m->worstSeconds());
+  }
+  return curve;
 }
 
 Study readStudy(const std::filesystem::path& file) {
@@ -179,6 +185,19 @@ void writeStudy(const std::filesystem::path& file, const Study& study) {
   out["own"] = keysToJson(study.own);
   out["settings"] = Json::array();
   for (const MeasuredSetting& m : study.measured) out["settings"].push_back(settingToJson(m));
+  out["knobs"] = Json::array();
+  for (const Knob& knob : study.knobs) {
+    const KnobCurve curve = curveOf(study, knob);
+    Json errors = Json::array(), seconds = Json::array();
+    for (const MeasuredSetting* m : curve.measured)
+      errors.push_back(m->worstError()), seconds.push_back(m->worstSeconds());
+    out["knobs"].push_back({{"name", knob.name},
+                            {"values", curve.labels},
+                            {"error_worst", errors},
+                            {"seconds_worst", seconds},
+                            {"error_falls_back", curve.error_back},
+                            {"seconds_rise_back", curve.time_back}});
+  }
   out["front"] = Json::array();
   for (const MeasuredSetting* m : study.front()) out["front"].push_back(keysToJson(m->keys));
   writeJsonFile(file, out);

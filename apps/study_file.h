@@ -16,24 +16,25 @@ namespace srf {
 using SceneKeys = std::map<std::string, std::string>;
 std::vector<std::string> overridesOf(const SceneKeys& keys);
 
-/// How far a frame is from the one it should be. A pixel's relative error is the largest |x - r| of its channels over
-/// r_max + peak / 100, r_max being the brightest channel of the reference there and `peak` that of ImageDifference.
+/// How far a frame is from the one it should be.
 struct FrameError {
-  double mean = 0;        ///< of the relative error, over the pixels where either picture shows the object
-  double percentile = 0;  ///< its 99.9th
+  double mean = 0;                                        ///< ImageDifference::relative_error
+  double percentile = 0;                                  ///< its 99.9th
   double psnr = 0, relative_mse = 0, ssim = 1, flip = 0;  ///< of compareImages, inside
 };
-/// Throws bad_input where the sizes differ or the reference is black.
+/// Throws bad_input where the sizes differ.
 FrameError frameError(const ImageF& image, const ImageF& reference);
 
 struct MeasuredSetting {
   SceneKeys keys;
-  std::size_t memory_bytes = 0;   ///< 0: the program's own --memory
-  std::vector<FrameError> exact;  ///< of each studied frame, against the all-exact rendering
-  std::vector<FrameError> truth;  ///< against --reference; empty without it
-  std::vector<double> seconds;    ///< of each studied frame: median of its warm repeats
-  double spread = 0;              ///< slowest less fastest repeat of a frame, mean of the frames, seconds
-  double cold = 0;                ///< the first frame of the first run: files opened, nothing in memory, seconds
+  std::size_t memory_bytes = 0;    ///< 0: the program's own --memory
+  std::vector<FrameError> exact;   ///< of each studied frame, against the all-exact rendering
+  std::vector<FrameError> truth;   ///< against --reference; empty without it
+  std::vector<double> seconds;     ///< of each studied frame: median of its warm repeats
+  double spread = 0;               ///< slowest less fastest repeat of a frame, mean of the frames, seconds
+  double full_size = 1;            ///< what those of the study's pictures were multiplied by, for those of full size
+  bool full_size_measured = true;  ///< by a frame of full size; else foretold from the pixels alone
+  double cold = 0;                 ///< the first frame of the first run: files opened, nothing in memory, seconds
   double bytes_read = 0, peak_bytes = 0;  ///< of the field's cache
 
   double worstError() const;  ///< largest mean relative error of a studied frame
@@ -63,6 +64,16 @@ struct Study {
   /// Those that no other one beats in both worst error and worst time, fastest first: the error falls strictly.
   std::vector<const MeasuredSetting*> front() const;
 };
+
+/// What was measured of a knob, all else exact, from exact to cheap.
+struct KnobCurve {
+  std::vector<const MeasuredSetting*> measured;
+  std::vector<std::string> labels;
+  /// How far the error falls below a dearer value's, and the time rises above it, in parts of that: 0 for a curve that
+  /// only ever trades one for the other.
+  double error_back = 0, time_back = 0;
+};
+KnobCurve curveOf(const Study& study, const Knob& knob);
 
 /// A promise is the worst studied frame times this.
 constexpr double kErrorMargin = 1.1, kTimeMargin = 1.1;

@@ -24,7 +24,8 @@ using plot::png;
 using plot::tickLabel;
 using plot::uprightAxis;
 
-constexpr double kFloor = 1e-5;  // errors below are drawn here: a logarithm has no 0
+constexpr double kFloor = 1e-5;   // errors below are drawn here: a logarithm has no 0
+constexpr double kSteady = 0.05;  // what a curve may fall back and still be called steady
 
 std::string keysText(const SceneKeys& keys) {
   std::string out;
@@ -124,13 +125,8 @@ std::string recommendations(const Study& study) {
 }
 
 std::string knobPlot(const Study& study, const Knob& knob) {
-  std::vector<const MeasuredSetting*> measured;
-  std::vector<std::string> labels;
-  for (std::size_t i = 0; i < knob.values.size(); ++i)
-    if (const auto* m = study.find(knob.values[i], knob.memory.empty() ? 0 : knob.memory[i])) {
-      measured.push_back(m);
-      labels.push_back(knob.labels[i]);
-    }
+  const KnobCurve curve = curveOf(study, knob);
+  const auto& [measured, labels, error_back, time_back] = curve;
   if (measured.size() < 2) return "";
   double least_time = HUGE_VAL, most_time = 0, least_error = HUGE_VAL, most_error = 0;
   for (const auto* m : measured) {
@@ -162,8 +158,12 @@ std::string knobPlot(const Study& study, const Knob& knob) {
   const MeasuredSetting &exact = *measured.front(), &cheap = *measured.back();
   return "<div style=\"display:inline-block;width:460px;vertical-align:top\">" + out + "<p>" + escaped(knob.name) +
          " " + escaped(labels.back()) + " instead of " + escaped(labels.front()) +
-         format(" costs %s of error and takes %.2f of the time.</p></div>\n", percent(cheap.worstError()).c_str(),
-                cheap.worstSeconds() / exact.worstSeconds());
+         format(" costs %s of error and takes %.2f of the time.", percent(cheap.worstError()).c_str(),
+                cheap.worstSeconds() / exact.worstSeconds()) +
+         (error_back > kSteady && !knob.unit.empty()
+              ? format(" On the way the error falls back by %.0f %%.", 100 * error_back)
+              : "") +
+         "</p></div>\n";
 }
 
 std::string pictures(const Study& study, const PictureOf& picture) {
@@ -233,8 +233,8 @@ std::string studyPage(const Study& study, const PictureOf& picture) {
   if (study.divisor > 1)
     out += format(
         "<p class=\"note\">To fit the time, the study's pictures are 1/%d as wide and high as the scene's. Times are "
-        "those of full size: measured for the scene as it is and for combinations that take little, else as many times "
-        "longer as it has more pixels, which is too long rather than too short.</p>\n",
+        "those of full size: measured for the scene as it is and for the front, else as many times longer as it has "
+        "more pixels, which is too long rather than too short.</p>\n",
         study.divisor);
   if (!study.complete)
     out +=

@@ -350,6 +350,21 @@ ImageDifference compareImages(const ImageF& image, const ImageF& reference, cons
     for (std::size_t i = 0; i < count; ++i)
       if (inside.data()[i]) sum_a += a[c].data()[i], sum_b += b[c].data()[i];
   result.bias = (sum_a - sum_b) / std::max(sum_b, 1e-12);
+
+  std::vector<double> errors;
+  for (std::size_t i = 0; i < count; ++i) {
+    const double truth = brightest(b, i);
+    if (!(truth > 0 || brightest(a, i) > 0)) continue;
+    double largest = 0;
+    for (int c = 0; c < 3; ++c) largest = std::max(largest, std::fabs(a[c].data()[i] - b[c].data()[i]));
+    errors.push_back(largest / (std::max(truth, 0.0) + result.peak / 100));
+  }
+  for (const double error : errors) result.relative_error += error / static_cast<double>(errors.size());
+  if (!errors.empty()) {
+    const auto rank = static_cast<std::ptrdiff_t>(0.999 * static_cast<double>(errors.size() - 1));
+    std::nth_element(errors.begin(), errors.begin() + rank, errors.end());
+    result.relative_error_tail = errors[static_cast<std::size_t>(rank)];
+  }
   return result;
 }
 

@@ -18,11 +18,15 @@ struct MetricFigures {
 };
 
 struct ImageDifference {
-  MetricFigures inside;        ///< the mask eroded by 2 pixels; the mask itself where that leaves fewer than 50
-  MetricFigures full;          ///< all pixels
-  double peak = 1;             ///< 99.9th percentile of the reference's brightest channel inside
-  double white = 1;            ///< its 99th percentile: what the display images show as 1
-  double bias = 0;             ///< relative difference of the means inside
+  MetricFigures inside;  ///< the mask eroded by 2 pixels; the mask itself where that leaves fewer than 50
+  MetricFigures full;    ///< all pixels
+  double peak = 1;       ///< 99.9th percentile of the reference's brightest channel inside
+  double white = 1;      ///< its 99th percentile: what the display images show as 1
+  double bias = 0;       ///< relative difference of the means inside
+  /// Mean and 99.9th percentile of the relative error over the pixels where either picture shows something, whatever
+  /// the mask: of a pixel the largest |x - r| of its channels over r_max + peak / 100, r_max being the reference's
+  /// brightest channel there. What srf study promises.
+  double relative_error = 0, relative_error_tail = 0;
   std::size_t not_finite = 0;  ///< pixels of the image that hold NaN or Inf: measured as 0
   ImageF flip_map;             ///< one channel, as large as the images
 };

@@ -92,6 +92,19 @@ TEST(ImageMetrics, GreyCountsAsThreeEqualChannels) {
   EXPECT_EQ(compareImages(brighter, grey).full.flip, compareImages(brighter, colour).full.flip);
 }
 
+TEST(ImageMetrics, RelativeErrorIsOverWhatEitherPictureShows) {
+  ImageF reference(40, 30, 3), image(40, 30, 3);
+  const auto paint = [](ImageF& picture, int x, float r, float g, float b) {
+    for (int y = 0; y < 30; ++y) picture.at(x, y, 0) = r, picture.at(x, y, 1) = g, picture.at(x, y, 2) = b;
+  };
+  for (int x = 0; x < 10; ++x) paint(reference, x, 2, 1, 0.5f), paint(image, x, 2, 1.2f, 0.5f);
+  paint(image, 10, 0, 0.01f, 0);  // shown where nothing is
+  const ImageDifference d = compareImages(image, reference);
+  EXPECT_NEAR(d.peak, 2, 1e-6);
+  EXPECT_NEAR(d.relative_error, (10 * 0.2 / 2.02 + 0.01 / 0.02) / 11, 1e-6);
+  EXPECT_NEAR(d.relative_error_tail, 0.01 / 0.02, 1e-6);
+}
+
 TEST(ImageMetrics, PixelsThatAreNotFiniteAreCountedAndMeasuredAsBlack) {
   const ImageF reference = ball(0, 1);
   ImageF image = reference, holes = reference;
