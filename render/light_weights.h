@@ -37,11 +37,6 @@ struct SharedKeyHash {
   }
 };
 
-struct LightEntry {
-  std::uint32_t light;  ///< position in the list
-  Rgb weight;
-};
-
 /// The weights of one list of lights at one hit: a blend of shared vectors, plus a vector of its own or a few entries.
 struct LightWeights {
   static constexpr std::uint32_t kNone = 0xffffffffu;
