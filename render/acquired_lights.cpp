@@ -99,7 +99,23 @@ AcquiredLights::AcquiredLights(const std::vector<LightId>& ids, const std::vecto
   begin_.push_back(static_cast<std::uint32_t>(candidates_.size()));
   if (distant_)
     for (const std::uint32_t i : candidates_)
-      for (int k = 0; k < 3; ++k) candidate_direction_[k].push_back(direction_[i][k]);
+      for (int k = 0; k < 3; ++k) {
+        candidate_direction_[k].push_back(direction_[i][k]);
+        candidate_float_[k].push_back(static_cast<float>(direction_[i][k]));
+      }
+  for (const Vec3& inverse : inverse_)
+    inverse_float_.push_back(
+        {static_cast<float>(inverse.x), static_cast<float>(inverse.y), static_cast<float>(inverse.z)});
+}
+
+std::optional<LightCells> AcquiredLights::cells() const {
+  if (!distant_ || usable_.size() <= static_cast<std::size_t>(k_) || k_ > kMostNearest) return std::nullopt;
+  return LightCells{resolution_,
+                    begin_.data(),
+                    candidates_.data(),
+                    candidate_float_[0].data(),
+                    candidate_float_[1].data(),
+                    candidate_float_[2].data()};
 }
 
 std::optional<std::uint32_t> AcquiredLights::find(LightId light) const {

@@ -9,6 +9,7 @@
 
 #include "field/capture.h"
 #include "field/lumigraph_weights.h"
+#include "render/light_kernels.h"
 
 namespace srf {
 
@@ -37,6 +38,12 @@ class AcquiredLights {
   /// memory.
   void nearest(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p,
                std::vector<Penalised>& scratch, std::vector<Weighted>& weights) const;
+  /// What nearestWeights needs to say the same of many directions at once; none where it cannot: for lights near the
+  /// object, for as many lights as k or fewer, or a k beyond kMostNearest.
+  std::optional<LightCells> cells() const;
+  int k() const { return k_; }
+  /// 1 / irradiance of each light of a distant list, r g b.
+  const std::vector<std::array<float, 3>>& inverseIrradiances() const { return inverse_float_; }
   /// Positions in ids() of the lights of known direction.
   const std::vector<std::uint32_t>& usable() const { return usable_; }
   /// From p to light i, one of usable().
@@ -67,6 +74,8 @@ class AcquiredLights {
   std::vector<std::uint32_t> begin_;  ///< of each cell in candidates_, and the end
   std::vector<std::uint32_t> candidates_;
   std::array<std::vector<double>, 3> candidate_direction_;  ///< of distant lights
+  std::array<std::vector<float>, 3> candidate_float_;       ///< the same
+  std::vector<std::array<float, 3>> inverse_float_;
 };
 
 }  // namespace srf

@@ -131,9 +131,16 @@ void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder or
         continue;
       }
       products.begin(block.halves.data(), block.pad);
-      each(jobs[j], [&](ShadingBatch& batch, std::uint32_t i) {
-        products.add(batch.operations[i], batch.lights, batch.results[i]);
-      });
+      for (std::size_t r = jobs[j].begin; r < jobs[j].end; ++r) {
+        ShadingBatch& batch = batches[runs[r].batch];
+        const std::uint32_t end = runs[r].end;
+        constexpr std::uint32_t kAhead = 4;
+        for (std::uint32_t i = runs[r].begin; i < end; ++i) {
+          if (i + 2 * kAhead < end) products.prefetchWeights(batch.operations[i + 2 * kAhead], batch.lights);
+          if (i + kAhead < end) products.prefetchEntries(batch.operations[i + kAhead], batch.lights);
+          products.add(batch.operations[i], batch.lights, batch.results[i]);
+        }
+      }
       products.flush();
     }
   });

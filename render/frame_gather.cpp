@@ -95,7 +95,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   }
 
   std::vector<std::pair<std::uint32_t, std::uint32_t>> handles;  // (list, light weights) of the hit
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> wanted;   // (position in met, list) by handle, weighed below
+  std::vector<FrameLighting::Wanted> wanted;                     // of met, by handle, weighed below
   wanted.reserve(met.size());
   out.pixel.reserve(met.size());
   out.shading.operations.reserve(chosen.views.size() + chosen.views.size() / 4);
@@ -111,7 +111,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
       auto handle = std::find_if(handles.begin(), handles.end(), [&](const auto& h) { return h.first == list; });
       if (handle == handles.end()) {
         handle = handles.insert(handle, {list, static_cast<std::uint32_t>(wanted.size())});
-        wanted.emplace_back(static_cast<std::uint32_t>(m), list);
+        wanted.push_back({static_cast<std::uint32_t>(m), list});
       }
       addOperations(target, c, handle->second, out.shading.operations);
     }
@@ -153,18 +153,25 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     lap(kShadows);
   }
   CastShadows::Counts cast_counts;
-  for (const auto& [m, list] : wanted) {  // M13, M14
+  const auto lit = [&](std::size_t m) {
     const LookUp& look_up = look_ups[m];
-    if (guided && guided_block.hits[m].gate > 0) {
-      guided->gather(guided_block, m, list, out.shading.lights, out.guided[m]);
-      continue;
+    return LitPoint{look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
+                    look_up.acquisition_from_object.inverse() * look_up.normal};
+  };
+  if (!guided && !plan.cast) {
+    std::vector<LitPoint> points;
+    points.reserve(met.size());
+    for (std::size_t m = 0; m < met.size(); ++m) points.push_back(lit(m));
+    plan.lighting.gather(points, wanted, out.shading.lights);  // M13, M14
+  } else {
+    for (const auto& [m, list] : wanted) {
+      if (guided && guided_block.hits[m].gate > 0)
+        guided->gather(guided_block, m, list, out.shading.lights, out.guided[m]);
+      else if (plan.cast)
+        plan.cast->gather(list, lit(m), out.shading.lights, cast_counts);
+      else
+        plan.lighting.gather(list, lit(m), out.shading.lights);
     }
-    const LitPoint point{look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
-                         look_up.acquisition_from_object.inverse() * look_up.normal};
-    if (plan.cast)
-      plan.cast->gather(list, point, out.shading.lights, cast_counts);
-    else
-      plan.lighting.gather(list, point, out.shading.lights);
   }
   out.shading.lights.known = {};
   out.shadow_rays = guided_block.shadow_rays + cast_counts.rays;

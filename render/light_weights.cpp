@@ -10,6 +10,13 @@ namespace {
 /// The key of a frame's only orientation; no corner of the grid has it.
 constexpr std::uint64_t kOnlyOrientation = ~std::uint64_t{0};
 
+/// The key's position in `wanted`.
+std::uint32_t wantedVector(const SharedKey& key, LightGather& out) {
+  const auto [entry, added] = out.known.try_emplace(key, static_cast<std::uint32_t>(out.wanted.size()));
+  if (added) out.wanted.push_back(key);
+  return entry->second;
+}
+
 }  // namespace
 
 const float* LightGather::vector(const LightWeights& w, int pad, float* scratch_vector) const {
@@ -35,7 +42,7 @@ const float* LightGather::vector(const LightWeights& w, int pad, float* scratch_
   return scratch_vector;
 }
 
-std::uint32_t LightGather::append(LightWeights w, int lights) {
+void LightGather::settle(LightWeights& w, int lights) {
   w.entries = static_cast<std::uint32_t>(entries.size()) - w.first_entry;
   if (w.entries > fewEntries(lights)) {
     const int pad = lightPad(lights);
@@ -46,6 +53,10 @@ std::uint32_t LightGather::append(LightWeights w, int lights) {
     entries.resize(w.first_entry);
     w.entries = 0;
   }
+}
+
+std::uint32_t LightGather::append(LightWeights w, int lights) {
+  settle(w, lights);
   weights.push_back(w);
   return static_cast<std::uint32_t>(weights.size() - 1);
 }
@@ -110,11 +121,16 @@ void FrameLighting::noteShared(std::uint32_t list, const LitPoint& point, LightG
         w.shared[i] = last->shared[j];
         found = true;
       }
-    if (found) continue;
-    const auto [entry, added] = out.known.try_emplace(key, static_cast<std::uint32_t>(out.wanted.size()));
-    if (added) out.wanted.push_back(key);
-    w.shared[i] = entry->second;
+    if (!found) w.shared[i] = wantedVector(key, out);
   }
+}
+
+std::pair<Direction<AcquisitionSpace>, Vec3> FrameLighting::nearLightAt(const NearLight& light,
+                                                                        const LitPoint& point) const {
+  const Vector<ObjectSpace> to_light = light.position - point.p_star;
+  const double d = std::max(length(to_light), options_.min_distance);
+  const Direction<ObjectSpace> direction = normalize(to_light).value_or(point.normal);
+  return {point.acquisition_from_object * direction, light.intensity / (d * d)};  // Eq. 11: A(|p* - p_l|) I_l
 }
 
 std::uint32_t FrameLighting::gather(std::uint32_t list_index, const LitPoint& point, LightGather& out) const {
@@ -132,17 +148,137 @@ std::uint32_t FrameLighting::gather(std::uint32_t list_index, const LitPoint& po
       standIn(list, point.acquisition_from_object * light.direction, light.irradiance, point.p, out.scratch,
               out.nearest, add);
   }
-  for (const NearLight& light : lights_.near_lights) {  // Eq. 11: A(|p* - p_l|) I_l
-    const Vector<ObjectSpace> to_light = light.position - point.p_star;
-    const double d = std::max(length(to_light), options_.min_distance);
-    const Direction<ObjectSpace> direction = normalize(to_light).value_or(point.normal);
-    standIn(list, point.acquisition_from_object * direction, light.intensity / (d * d), point.p, out.scratch,
-            out.nearest, add);
+  for (const NearLight& light : lights_.near_lights) {
+    const auto [direction, irradiance] = nearLightAt(light, point);
+    standIn(list, direction, irradiance, point.p, out.scratch, out.nearest, add);
   }
   for (const RestLight& light : lights_.rest)
     if (const auto at = list.find(light.light)) add(*at, Vec3{light.scale, light.scale, light.scale});
 
   return out.append(w, list.count());
+}
+
+void FrameLighting::gather(std::span<const LitPoint> points, std::span<const Wanted> wanted, LightGather& out) const {
+  for (std::size_t begin = 0, end = 0; begin < wanted.size(); begin = end) {
+    const std::uint32_t list = wanted[begin].list;
+    while (end < wanted.size() && wanted[end].list == list) ++end;
+    const bool distant_exact = !lights_.distant.empty() && !shares(list);
+    if (options_.sharing > 0 && !distant_exact && lists_[list].cells()) {
+      gatherMany(list, points, wanted.subspan(begin, end - begin), out);
+      continue;
+    }
+    for (std::size_t i = begin; i < end; ++i) gather(list, points[wanted[i].point], out);
+  }
+}
+
+void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoint> points,
+                               std::span<const Wanted> wanted, LightGather& out) const {
+  const AcquiredLights& list = lists_[list_index];
+  const LightCells cells = *list.cells();
+  const std::size_t count = wanted.size(), stride = paddedLanes(count), lights = lights_.near_lights.size();
+  const int k = list.k();
+  struct Memory {
+    std::vector<float> lanes, weight;
+    std::vector<std::int32_t> cell;
+    std::vector<std::uint32_t> light;
+    std::vector<Rgb> irradiance;
+  };
+  thread_local Memory memory;
+  memory.lanes.resize(12 * stride);
+  memory.cell.resize(4 * stride);
+  float* const lane = memory.lanes.data();
+
+  const bool on_grid = shares(list_index) && !options_.only_orientation;
+  OrientationCells where{};
+  if (on_grid) {
+    OrientationLanes in{};
+    for (int j = 0; j < 9; ++j) {
+      float* const m = lane + j * stride;
+      for (std::size_t i = 0; i < count; ++i)
+        m[i] = static_cast<float>(points[wanted[i].point].acquisition_from_object.raw().row[j / 3][j % 3]);
+      in.m[j] = m;
+    }
+    where = {memory.cell.data(),
+             {memory.cell.data() + stride, memory.cell.data() + 2 * stride, memory.cell.data() + 3 * stride},
+             {lane + 9 * stride, lane + 10 * stride, lane + 11 * stride}};
+    orientationCells(in, count, grid_->halfCells(), where);
+  }
+  const std::size_t first = out.weights.size();
+  out.weights.resize(first + count);
+  OrientationGrid::Place last{-1, {}, {}};
+  int last_tetrahedron = -1;
+  std::array<std::uint32_t, 4> ids{};
+  for (std::size_t i = 0; shares(list_index) && i < count; ++i) {
+    LightWeights& w = out.weights[first + i];
+    OrientationGrid::Blend blend{{kOnlyOrientation}, {1}};
+    bool same = i > 0;
+    if (on_grid) {
+      const OrientationGrid::Place place{where.code[i],
+                                         {where.cell[0][i], where.cell[1][i], where.cell[2][i]},
+                                         {where.fraction[0][i], where.fraction[1][i], where.fraction[2][i]}};
+      const int tetrahedron = OrientationGrid::tetrahedron(place);
+      same = place.code == last.code && place.cell == last.cell && tetrahedron == last_tetrahedron;
+      last = place, last_tetrahedron = tetrahedron;
+      blend = grid_->blend(place);
+    }
+    if (!same) ids.fill(LightWeights::kNone);
+    w.share = blend.share;
+    for (int c = 0; c < 4; ++c) {
+      if (!(blend.share[c] > 0)) continue;
+      if (ids[c] == LightWeights::kNone) ids[c] = wantedVector({list_index, blend.corner[c]}, out);
+      w.shared[c] = ids[c];
+    }
+  }
+
+  memory.weight.resize(lights * k * stride);
+  memory.light.resize(lights * k * stride);
+  memory.irradiance.resize(lights * stride);
+  for (std::size_t l = 0; l < lights; ++l) {
+    float *const x = lane, *const y = lane + stride, *const z = lane + 2 * stride;
+    for (std::size_t i = 0; i < count; ++i) {
+      const auto [direction, irradiance] = nearLightAt(lights_.near_lights[l], points[wanted[i].point]);
+      const Vec3& d = direction.raw();
+      x[i] = static_cast<float>(d.x), y[i] = static_cast<float>(d.y), z[i] = static_cast<float>(d.z);
+      memory.irradiance[l * stride + i] = {static_cast<float>(irradiance.x), static_cast<float>(irradiance.y),
+                                           static_cast<float>(irradiance.z)};
+    }
+    for (std::size_t i = count; i < stride; ++i) x[i] = y[i] = 0, z[i] = 1;
+    lightCells(x, y, z, count, cells.resolution, memory.cell.data());
+    nearestWeights(cells, x, y, z, memory.cell.data(), count, k, stride, &memory.weight[l * k * stride],
+                   &memory.light[l * k * stride]);
+  }
+  const auto& inverse = list.inverseIrradiances();
+  out.entries.reserve(out.entries.size() + count * (lights * k + lights_.rest.size()));
+  for (std::size_t i = 0; i < count; ++i) {
+    LightWeights& w = out.weights[first + i];
+    w.first_entry = static_cast<std::uint32_t>(out.entries.size());
+    for (std::size_t l = 0; l < lights; ++l) {
+      const float* weight = &memory.weight[l * k * stride + i];
+      const std::uint32_t* light = &memory.light[l * k * stride + i];
+      if (!(*weight > 0)) {  // all tie
+        const LitPoint& point = points[wanted[i].point];
+        const auto [direction, irradiance] = nearLightAt(lights_.near_lights[l], point);
+        standIn(list, direction, irradiance, point.p, out.scratch, out.nearest, [&](std::uint32_t of, const Vec3& a) {
+          out.entries.push_back({of, {static_cast<float>(a.x), static_cast<float>(a.y), static_cast<float>(a.z)}});
+        });
+        continue;
+      }
+      const Rgb& e = memory.irradiance[l * stride + i];
+      for (int j = 0; j < k; ++j) {
+        const float share = weight[j * stride];
+        if (!(share > 0)) break;  // by falling weight
+        const std::uint32_t of = light[j * stride];
+        const std::array<float, 3>& per = inverse[of];
+        out.entries.push_back({of, {share * (e[0] * per[0]), share * (e[1] * per[1]), share * (e[2] * per[2])}});
+      }
+    }
+    for (const RestLight& rest : lights_.rest)
+      if (const auto at = list.find(rest.light)) {
+        const auto scale = static_cast<float>(rest.scale);
+        out.entries.push_back({static_cast<std::uint32_t>(*at), {scale, scale, scale}});
+      }
+    out.settle(w, list.count());
+  }
 }
 
 void FrameLighting::computeShared(const SharedKey& key, float* vector, std::uint32_t* nearest_of) const {
@@ -151,6 +287,34 @@ void FrameLighting::computeShared(const SharedKey& key, float* vector, std::uint
   std::fill_n(vector, 3 * pad, 0.f);
   const Orthogonal<AcquisitionSpace, ObjectSpace> acquisition_from_object =
       key.corner == kOnlyOrientation ? *options_.only_orientation : grid_->orientation(key.corner);
+  if (const auto cells = list.cells(); cells && options_.sharing > 0) {
+    const std::size_t count = lights_.distant.size(), stride = paddedLanes(count), k = list.k();
+    thread_local std::vector<float> lane, weight;
+    thread_local std::vector<std::int32_t> cell;
+    thread_local std::vector<std::uint32_t> of;
+    lane.resize(3 * stride), cell.resize(stride), weight.resize(k * stride), of.resize(k * stride);
+    float *const x = lane.data(), *const y = x + stride, *const z = y + stride;
+    for (std::size_t i = 0; i < stride; ++i) {
+      const Vec3 d = (acquisition_from_object * lights_.distant[std::min(i, count - 1)].direction).raw();
+      x[i] = static_cast<float>(d.x), y[i] = static_cast<float>(d.y), z[i] = static_cast<float>(d.z);
+    }
+    lightCells(x, y, z, count, cells->resolution, cell.data());
+    nearestWeights(*cells, x, y, z, cell.data(), count, list.k(), stride, weight.data(), of.data());
+    const auto& inverse = list.inverseIrradiances();
+    bool all_told = true;
+    for (std::size_t i = 0; i < count; ++i) all_told &= weight[i] > 0;  // else the k + 1 nearest tie
+    for (std::size_t i = 0; all_told && i < count; ++i) {
+      const Vec3& irradiance = lights_.distant[i].irradiance;
+      for (std::size_t j = 0; j < k; ++j) {
+        const std::uint32_t captured = of[j * stride + i];
+        for (int c = 0; c < 3; ++c)
+          vector[c * pad + captured] +=
+              weight[j * stride + i] * (static_cast<float>(irradiance[c]) * inverse[captured][c]);
+      }
+      if (nearest_of) nearest_of[i] = of[i];
+    }
+    if (all_told) return;
+  }
   std::vector<Penalised> scratch;
   std::vector<Weighted> nearest;
   for (const DistantLight& light : lights_.distant) {

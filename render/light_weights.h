@@ -37,11 +37,6 @@ struct SharedKeyHash {
   }
 };
 
-struct LightEntry {
-  std::uint32_t light;  ///< position in the list
-  Rgb weight;
-};
-
 /// The weights of one list of lights at one hit: a blend of shared vectors, plus a vector of its own or a few entries.
 struct LightWeights {
   static constexpr std::uint32_t kNone = 0xffffffffu;
@@ -68,8 +63,9 @@ struct LightGather {
   /// An entry costs an operation some ten times what a light of a vector does, and a vector is smaller: for a list of
   /// `lights` lights more entries than this become one.
   static std::size_t fewEntries(int lights) { return static_cast<std::size_t>(std::max(lights / 4, 16)); }
-  /// Ends a hit's weights for a list of `lights` lights, whose entries are all those from weights.first_entry on, and
-  /// returns their handle.
+  /// Ends a hit's weights for a list of `lights` lights, whose entries are all those from weights.first_entry on.
+  void settle(LightWeights& weights, int lights);
+  /// The same; appends them and returns their handle.
   std::uint32_t append(LightWeights weights, int lights);
   std::size_t bytes() const;
 };
@@ -102,6 +98,14 @@ class FrameLighting {
   /// Appends the weights of a list at a hit and returns their handle. What depends on the hit alone is computed here;
   /// of the shared vectors only the keys are noted.
   std::uint32_t gather(std::uint32_t list, const LitPoint& point, LightGather& out) const;
+  /// A hit and the list whose weights are asked for.
+  struct Wanted {
+    std::uint32_t point, list;
+  };
+  /// The same for many hits at once, in their order. Of shared vectors and point lights the kernels of light_kernels.h
+  /// answer, in float: shares are off by at most 4e-7 of the grid's half cells, a point light's weights by what
+  /// nearestWeights states. Where hits share nothing (options().sharing is 0), all is gather()'s in double.
+  void gather(std::span<const LitPoint> points, std::span<const Wanted> wanted, LightGather& out) const;
   /// Whether hits share the vectors of the list's distant lights.
   bool shares(std::uint32_t list) const;
   /// The corners of orientation whose shared vectors, blended, hold for an L. Where shares() is true.
@@ -124,6 +128,10 @@ class FrameLighting {
                const Point<AcquisitionSpace>& p, std::vector<Penalised>& scratch, std::vector<Weighted>& nearest,
                const Add& add) const;
   void noteShared(std::uint32_t list, const LitPoint& point, LightGather& out, LightWeights& weights) const;
+  /// The direction of a point light at a hit, and what it sends there.
+  std::pair<Direction<AcquisitionSpace>, Vec3> nearLightAt(const NearLight& light, const LitPoint& point) const;
+  void gatherMany(std::uint32_t list, std::span<const LitPoint> points, std::span<const Wanted> wanted,
+                  LightGather& out) const;
 
   const FrameLights& lights_;
   std::span<const AcquiredLights> lists_;

@@ -17,6 +17,32 @@ std::uint64_t pack(int face, bool reflected, const std::array<std::int32_t, 3>& 
   return key;
 }
 
+template <class Real>
+std::array<int, 3> byFallingFraction(const std::array<Real, 3>& fraction) {
+  std::array<int, 3> axis{0, 1, 2};
+  if (fraction[axis[0]] < fraction[axis[1]]) std::swap(axis[0], axis[1]);
+  if (fraction[axis[1]] < fraction[axis[2]]) std::swap(axis[1], axis[2]);
+  if (fraction[axis[0]] < fraction[axis[1]]) std::swap(axis[0], axis[1]);
+  return axis;
+}
+
+/// Kuhn's split: from the cell's inner corner outwards along the axes by falling fraction.
+template <class Real>
+OrientationGrid::Blend alongAxes(int face, bool reflected, std::array<std::int32_t, 3> at,
+                                 const std::array<std::int32_t, 3>& step, const std::array<Real, 3>& fraction) {
+  const std::array<int, 3> axis = byFallingFraction(fraction);
+  OrientationGrid::Blend result;
+  Real outer = 1;
+  for (int i = 0; i < 4; ++i) {
+    const Real next = i < 3 ? fraction[axis[i]] : 0;
+    result.corner[i] = pack(face, reflected, at);
+    result.share[i] = static_cast<float>(outer - next);
+    outer = next;
+    if (i < 3) at[axis[i]] += step[axis[i]];
+  }
+  return result;
+}
+
 }  // namespace
 
 OrientationGrid::OrientationGrid(double degrees) {
@@ -45,21 +71,21 @@ OrientationGrid::Blend OrientationGrid::blend(const Orthogonal<AcquisitionSpace,
     at[j] = step[j] * cell;
     fraction[j++] = std::min(std::fabs(x) - cell, 1.0);
   }
-  // Kuhn's split: from the inner corner outwards along the axes by falling fraction.
-  std::array<int, 3> axis{0, 1, 2};
-  if (fraction[axis[0]] < fraction[axis[1]]) std::swap(axis[0], axis[1]);
-  if (fraction[axis[1]] < fraction[axis[2]]) std::swap(axis[1], axis[2]);
-  if (fraction[axis[0]] < fraction[axis[1]]) std::swap(axis[0], axis[1]);
-  Blend result;
-  double outer = 1;
-  for (int i = 0; i < 4; ++i) {
-    const double next = i < 3 ? fraction[axis[i]] : 0;
-    result.corner[i] = pack(face, reflected, at);
-    result.share[i] = static_cast<float>(outer - next);
-    outer = next;
-    if (i < 3) at[axis[i]] += step[axis[i]];
+  return alongAxes(face, reflected, at, step, fraction);
+}
+
+OrientationGrid::Blend OrientationGrid::blend(const Place& place) const {
+  std::array<std::int32_t, 3> at, step;
+  for (int j = 0; j < 3; ++j) {
+    step[j] = place.code >> j & 1 ? -1 : 1;
+    at[j] = step[j] * place.cell[j];
   }
-  return result;
+  return alongAxes(place.code >> 4, place.code >> 3 & 1, at, step, place.fraction);
+}
+
+int OrientationGrid::tetrahedron(const Place& place) {
+  const std::array<int, 3> axis = byFallingFraction(place.fraction);
+  return 3 * axis[0] + axis[1];
 }
 
 Orthogonal<AcquisitionSpace, ObjectSpace> OrientationGrid::orientation(std::uint64_t corner) const {

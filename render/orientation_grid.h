@@ -24,6 +24,17 @@ class OrientationGrid {
     std::array<float, 4> share;
   };
   Blend blend(const Orthogonal<AcquisitionSpace, ObjectSpace>& acquisition_from_object) const;
+  /// Where an orientation lies: its cell, as orientationCells finds them for many.
+  struct Place {
+    std::int32_t code;
+    std::array<std::int32_t, 3> cell;
+    std::array<float, 3> fraction;
+  };
+  Blend blend(const Place& place) const;
+  /// The cell's tetrahedron that holds the place: an order of the three axes. Places of one tetrahedron have the same
+  /// corners.
+  static int tetrahedron(const Place& place);
+  std::int32_t halfCells() const { return half_cells_; }
   /// The orientation at a corner; a reflection where the blended L is one.
   Orthogonal<AcquisitionSpace, ObjectSpace> orientation(std::uint64_t corner) const;
 

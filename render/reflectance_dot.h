@@ -10,6 +10,13 @@ namespace srf {
 
 using Rgb = std::array<float, 3>;
 
+/// What one light counts.
+struct LightEntry {
+  std::uint32_t light;  ///< position in the list
+  Rgb weight;
+};
+static_assert(sizeof(LightEntry) == 16);  // kernels load it whole
+
 /// sum over taps t and lights j of tap_t * block[y_t][x_t][c][j] * weights[c][j], for each channel c.
 /// `block`: half[16][16][3][light_pad] of finite values; `weights`: float[3][light_pad]; light_pad a multiple of 8.
 /// Error: at most (light_pad / 8 + 10) 2^-24 of the sum of the terms' absolute values.

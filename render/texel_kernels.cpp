@@ -87,28 +87,52 @@ void lights(const std::uint16_t* texel, int pad, const std::uint32_t* light, int
   }
 }
 
-void sum(const ProductSum* sums, std::size_t count) {
+// The sum of the two halves of 8 lanes.
+template <class D>
+hn::Vec<hn::FixedTag<float, 4>> halves(D, const hn::Vec<D>* parts) {
   const hn::FixedTag<float, 4> four;
+  if constexpr (hn::MaxLanes(D()) == 8)
+    return hn::Add(hn::LowerHalf(four, parts[0]), hn::UpperHalf(four, parts[0]));
+  else
+    return hn::Add(parts[0], parts[1]);
+}
+
+void sum(const float* tables, const ProductSum* sums, std::size_t count) {
+  // Two rows of a table, in one vector or two.
+  const hn::CappedTag<float, 2 * kProductRow> two;
+  constexpr std::size_t kWide = hn::MaxLanes(two), kTwo = 2 * kProductRow / kWide;
+  const hn::FixedTag<float, 4> four;
+  constexpr std::size_t kBelow = 16 * kProductRow;
   for (std::size_t s = 0; s < count; ++s) {
     const ProductSum& one = sums[s];
-    const auto t0 = hn::Set(four, one.tap[0]), t1 = hn::Set(four, one.tap[1]), t2 = hn::Set(four, one.tap[2]),
-               t3 = hn::Set(four, one.tap[3]);
-    const std::size_t a = kProductRow * std::size_t{one.texel[0]}, b = kProductRow * std::size_t{one.texel[1]},
-                      c = kProductRow * std::size_t{one.texel[2]}, d = kProductRow * std::size_t{one.texel[3]};
-    const auto interpolated = [&](const float* row) {
-      return hn::MulAdd(t3, hn::LoadU(four, row + d),
-                        hn::MulAdd(t2, hn::LoadU(four, row + c),
-                                   hn::MulAdd(t1, hn::LoadU(four, row + b), hn::Mul(t0, hn::LoadU(four, row + a)))));
-    };
-    float start[4] = {(*one.result)[0], (*one.result)[1], (*one.result)[2], 0};
-    auto total = hn::LoadU(four, start);
-    for (int i = 0; i < one.share_count; ++i)
-      total = hn::MulAdd(hn::Set(four, one.shares[i]), interpolated(one.rows[i]), total);
-    for (int i = 0; i < one.color_count; ++i)
-      total =
-          hn::MulAdd(hn::LoadU(four, one.colors + kProductRow * i), interpolated(one.rows[one.share_count + i]), total);
-    hn::StoreU(total, four, start);
-    *one.result = {start[0], start[1], start[2]};
+    alignas(32) const float upper[8] = {one.tap[0], one.tap[0], one.tap[0], one.tap[0],
+                                        one.tap[1], one.tap[1], one.tap[1], one.tap[1]};
+    alignas(32) const float lower[8] = {one.tap[2], one.tap[2], one.tap[2], one.tap[2],
+                                        one.tap[3], one.tap[3], one.tap[3], one.tap[3]};
+    const float* at = tables + static_cast<std::size_t>(one.texel) * kProductRow;
+    hn::Vec<decltype(two)> total[kTwo];
+    for (std::size_t p = 0; p < kTwo; ++p) {
+      const auto t01 = hn::Load(two, upper + p * kWide), t23 = hn::Load(two, lower + p * kWide);
+      const auto term = [&](int i) {
+        const float* row = at + static_cast<std::size_t>(one.slot[i]) * kProductTable + p * kWide;
+        return hn::MulAdd(t23, hn::LoadU(two, row + kBelow), hn::Mul(t01, hn::LoadU(two, row)));
+      };
+      total[p] = hn::Zero(two);
+      for (int i = 0; i < one.share_count; ++i) total[p] = hn::MulAdd(hn::Set(two, one.shares[i]), term(i), total[p]);
+      for (int i = 0; i < one.entry_count; ++i) {
+        // light, r, g, b to r, g, b, 0
+        const auto entry = hn::LoadDup128(two, reinterpret_cast<const float*>(one.entries + i));
+        total[p] = hn::MulAdd(hn::ShiftRightLanes<1>(two, entry), term(one.share_count + i), total[p]);
+      }
+    }
+    auto sum = halves(two, total);
+    if (one.continues) {
+      alignas(16) const float own[4] = {(*one.result)[0], (*one.result)[1], (*one.result)[2], 0};
+      sum = hn::Add(hn::Load(four, own), sum);
+    }
+    alignas(16) float rgb[4];
+    hn::Store(sum, four, rgb);
+    *one.result = {rgb[0], rgb[1], rgb[2]};
   }
 }
 
@@ -137,8 +161,8 @@ void texelLights(const std::uint16_t* texel, int light_pad, const std::uint32_t*
                  float* const* products) {
   HWY_DYNAMIC_DISPATCH(lights)(texel, light_pad, lights, count, products);
 }
-void sumProducts(const ProductSum* sums, std::size_t count) {
-  HWY_DYNAMIC_DISPATCH(sum)(sums, count);
+void sumProducts(const float* tables, const ProductSum* sums, std::size_t count) {
+  HWY_DYNAMIC_DISPATCH(sum)(tables, sums, count);
 }
 
 }  // namespace srf

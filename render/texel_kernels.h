@@ -26,18 +26,21 @@ void texelLights(const std::uint16_t* texel, int light_pad, const std::uint32_t*
 
 /// A table of products, one row of kProductRow floats a texel of the block: r, g, b, 0.
 inline constexpr int kProductRow = 4;
+inline constexpr int kProductTable = 256 * kProductRow;  ///< floats
 
-/// What one operation adds up: own + sum over terms of coefficient * (sum over taps of tap * table[term][texel]).
+/// What one operation adds up: own + sum over terms of coefficient * (sum over taps of tap * table[slot][texel]).
 struct ProductSum {
-  const float* tap;          ///< 4
-  std::uint16_t texel[4];    ///< positions in the block
-  const float* const* rows;  ///< of each term its table
-  const float* shares;       ///< of the first terms, one number for r, g and b
+  float tap[4];              ///< of the texels `texel`, the next one, and the two a row below; 0: unused, but read
+  int texel;                 ///< position of the first of them in the block
+  const std::uint8_t* slot;  ///< of each term its table
+  float shares[4];           ///< coefficients of the first terms
   int share_count;
-  const float* colors;  ///< of the other terms, kProductRow floats each
-  int color_count;
-  Rgb* result;  ///< holds `own`
+  const LightEntry* entries;  ///< of the other terms: coefficients of r, g and b
+  int entry_count;
+  bool continues;  ///< the result holds `own`; else that is 0
+  Rgb* result;
 };
-void sumProducts(const ProductSum* sums, std::size_t count);
+/// Taps in 8 lanes, two texels beside one another; terms in their order; then the halves, then `own`.
+void sumProducts(const float* tables, const ProductSum* sums, std::size_t count);
 
 }  // namespace srf

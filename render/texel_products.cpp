@@ -15,87 +15,96 @@ constexpr std::size_t kHash = 256;  // a power of two, several times the slots
 }  // namespace
 
 TexelProducts::TexelProducts()
-    : tables_(std::make_unique_for_overwrite<float[]>(static_cast<std::size_t>(kSlots) * kTexels * kProductRow)),
+    // Zeros: a tap of weight 0 reads its texel too.
+    : tables_(std::make_unique<float[]>(static_cast<std::size_t>(kSlots) * kProductTable)),
       slot_of_hash_(kHash, kNoSlot) {
-  static_assert(kTexels == kTile * kTile);
+  static_assert(kTexels == kTile * kTile && kTexels * kProductRow == kProductTable);
 }
 
 void TexelProducts::begin(const std::uint16_t* block, int light_pad) {
-  SRF_DCHECK(noted_.empty());
+  SRF_DCHECK(sums_used_ == 0);
   block_ = block;
   pad_ = light_pad;
   slot_of_light_.assign(light_pad, kNoSlot);
+  lights_ = nullptr;
 }
 
-int TexelProducts::slotOfVector(const float* vector) {
+std::uint8_t TexelProducts::newSlot(const float* vector, std::uint32_t light) {
+  vector_[slots_] = vector;
+  light_[slots_] = light;
+  return static_cast<std::uint8_t>(slots_++);
+}
+
+std::uint8_t TexelProducts::slotOfVector(const float* vector) {
   std::size_t at = (reinterpret_cast<std::uintptr_t>(vector) * 0x9e3779b97f4a7c15u) >> 56;
   for (;; at = (at + 1) % kHash) {
     std::uint8_t& slot = slot_of_hash_[at];
     if (slot != kNoSlot && vector_[slot] != vector) continue;
-    if (slot == kNoSlot) {
-      slot = static_cast<std::uint8_t>(vector_.size());
-      vector_.push_back(vector);
-      light_.push_back(0);
-    }
+    if (slot == kNoSlot) slot = newSlot(vector, 0);
     return slot;
   }
 }
 
-int TexelProducts::slotOfLight(std::uint32_t light) {
+inline std::uint8_t TexelProducts::slotOfLight(std::uint32_t light) {
   std::uint8_t& slot = slot_of_light_[light];
-  if (slot == kNoSlot) {
-    slot = static_cast<std::uint8_t>(vector_.size());
-    vector_.push_back(nullptr);
-    light_.push_back(light);
-  }
+  if (slot == kNoSlot) slot = newSlot(nullptr, light);
   return slot;
 }
 
 void TexelProducts::add(const ShadingOperation& operation, const LightGather& lights, Rgb& result) {
   const LightWeights& weights = lights.weights[operation.lights];
+  const bool own = weights.own != LightWeights::kNone;
   // What is this hit's alone is multiplied at once.
-  result = weights.own == LightWeights::kNone
-               ? Rgb{}
-               : reflectanceDot(block_, pad_, operation, lights.own.data() + weights.own);
-  const int x1 = std::min(operation.x + 1, kTile - 1), y1 = std::min(operation.y + 1, kTile - 1);
-  Noted noted{&operation, &lights, &result, 0, 0, 0, 0, {}, {}};
-  noted.texel[0] = static_cast<std::uint16_t>(operation.y * kTile + operation.x);
-  noted.texel[1] = static_cast<std::uint16_t>(operation.y * kTile + x1);
-  noted.texel[2] = static_cast<std::uint16_t>(y1 * kTile + operation.x);
-  noted.texel[3] = static_cast<std::uint16_t>(y1 * kTile + x1);
-  std::uint32_t entry = weights.first_entry;
-  const std::uint32_t entries_end = weights.first_entry + weights.entries;
-  bool shares = true;
+  if (own) result = reflectanceDot(block_, pad_, operation, lights.own.data() + weights.own);
+  const LightEntry* entry = lights.entries.data() + weights.first_entry;
+  const LightEntry* const entries_end = entry + weights.entries;
+  bool first = true;
   // As many terms as there are tables for; mostly all at once.
-  while (shares || entry < entries_end) {
-    const std::uint32_t now = std::min<std::uint32_t>(entries_end - entry, kSlots - 4);
-    if (vector_.size() + 4 + now > kSlots) flush();
-    noted.first_row = static_cast<std::uint32_t>(rows_.size());
-    noted.first_color = static_cast<std::uint32_t>(colors_.size());
-    noted.shares = 0;
-    noted.colors = static_cast<int>(now);
+  while (first || entry < entries_end) {
+    const int now = static_cast<int>(std::min<std::ptrdiff_t>(entries_end - entry, kSlots - 4));
+    if (slots_ + 4 + now > kSlots) flush();
+    if (lights_ != &lights) {
+      lights_ = &lights;
+      slot_of_wanted_.assign(lights.vectors.size(), kNoSlot);
+    }
+    if (sums_used_ == sums_.size()) sums_.resize(std::max<std::size_t>(512, 2 * sums_.size()));
+    if (terms_used_ + kSlots > terms_.size()) terms_.resize(std::max<std::size_t>(8192, 2 * terms_.size()));
+    ProductSum& sum = sums_[sums_used_++];
+    // 2 x 2 texels inside the block: at its end the taps beyond it have weight 0 and lie on the other side instead.
+    const bool last_x = operation.x == kTile - 1, last_y = operation.y == kTile - 1;
+    const float left = last_x ? 0.f : 1.f, above = last_y ? 0.f : 1.f;
+    const float* const tap = operation.tap;
+    const float top[2] = {left * tap[0], tap[last_x ? 0 : 1]}, bottom[2] = {left * tap[2], tap[last_x ? 2 : 3]};
+    sum.tap[0] = above * top[0], sum.tap[1] = above * top[1];
+    sum.tap[2] = last_y ? top[0] : bottom[0], sum.tap[3] = last_y ? top[1] : bottom[1];
+    sum.texel = (operation.y - (last_y ? 1 : 0)) * kTile + operation.x - (last_x ? 1 : 0);
+    sum.continues = own || !first;
+    sum.result = &result;
+    std::uint8_t* const begin = terms_.data() + terms_used_;
+    std::uint8_t* to = begin;
     std::uint64_t slots = 0;
-    const auto want = [&](int slot) {
-      slots |= std::uint64_t{1} << slot;
-      rows_.push_back(table(slot));
-    };
-    if (shares)
+    int shares = 0;
+    if (first)
       for (int i = 0; i < 4; ++i) {
         if (!(weights.share[i] > 0)) continue;
-        noted.share[noted.shares++] = weights.share[i];
-        want(slotOfVector(lights.vectors[weights.shared[i]]));
+        std::uint8_t& slot = slot_of_wanted_[weights.shared[i]];
+        if (slot == kNoSlot) slot = slotOfVector(lights.vectors[weights.shared[i]]);
+        sum.shares[shares++] = weights.share[i];
+        slots |= std::uint64_t{1} << slot;
+        *to++ = slot;
       }
-    for (std::uint32_t e = entry; e < entry + now; ++e) {
-      const LightEntry& light = lights.entries[e];
-      want(slotOfLight(light.light));
-      colors_.insert(colors_.end(), {light.weight[0], light.weight[1], light.weight[2], 0});
+    sum.share_count = shares;
+    sum.entries = entry;
+    sum.entry_count = now;
+    for (int e = 0; e < now; ++e) {
+      const std::uint8_t slot = slotOfLight(entry[e].light);
+      slots |= std::uint64_t{1} << slot;
+      *to++ = slot;
     }
-    for (int t = 0; t < 4; ++t) {
-      if (operation.tap[t] == 0) noted.texel[t] = noted.texel[operation.tap[0] != 0 ? 0 : t];
-      wanted_[noted.texel[t]] |= slots;
-    }
-    noted_.push_back(noted);
-    shares = false;
+    terms_used_ += to - begin;
+    std::uint64_t* const wanted = wanted_ + sum.texel;
+    wanted[0] |= slots, wanted[1] |= slots, wanted[kTile] |= slots, wanted[kTile + 1] |= slots;
+    first = false;
     entry += now;
   }
 }
@@ -132,25 +141,19 @@ void TexelProducts::fill() {
 
 void TexelProducts::flush() {
   fill();
-  sums_.clear();
-  for (const Noted& noted : noted_)
-    sums_.push_back({noted.operation->tap,
-                     {noted.texel[0], noted.texel[1], noted.texel[2], noted.texel[3]},
-                     rows_.data() + noted.first_row,
-                     noted.share,
-                     noted.shares,
-                     colors_.data() + noted.first_color,
-                     noted.colors,
-                     noted.result});
-  sumProducts(sums_.data(), sums_.size());
-  noted_.clear();
-  rows_.clear();
-  colors_.clear();
-  for (std::size_t slot = 0; slot < vector_.size(); ++slot)
-    if (!vector_[slot]) slot_of_light_[light_[slot]] = kNoSlot;
+  const std::uint8_t* slot = terms_.data();
+  for (std::size_t i = 0; i < sums_used_; ++i) {
+    sums_[i].slot = slot;
+    slot += sums_[i].share_count + sums_[i].entry_count;
+  }
+  sumProducts(tables_.get(), sums_.data(), sums_used_);
+  sums_used_ = 0;
+  terms_used_ = 0;
+  lights_ = nullptr;
+  for (int i = 0; i < slots_; ++i)
+    if (!vector_[i]) slot_of_light_[light_[i]] = kNoSlot;
   std::fill(slot_of_hash_.begin(), slot_of_hash_.end(), kNoSlot);
-  vector_.clear();
-  light_.clear();
+  slots_ = 0;
 }
 
 }  // namespace srf

@@ -21,6 +21,16 @@ class TexelProducts {
   void begin(const std::uint16_t* block, int light_pad);
   /// Notes an operation and where its result goes. Everything must stay until flush().
   void add(const ShadingOperation& operation, const LightGather& lights, Rgb& result);
+  /// Has what a later add() reads fetched into the cache.
+  static void prefetchWeights(const ShadingOperation& operation, const LightGather& lights) {
+    __builtin_prefetch(lights.weights.data() + operation.lights);
+  }
+  static void prefetchEntries(const ShadingOperation& operation, const LightGather& lights) {
+    const char* const entries =
+        reinterpret_cast<const char*>(lights.entries.data() + lights.weights[operation.lights].first_entry);
+    __builtin_prefetch(entries);
+    __builtin_prefetch(entries + 64);
+  }
   /// Computes the results of all operations noted.
   void flush();
 
@@ -28,32 +38,27 @@ class TexelProducts {
   static constexpr int kSlots = 64;  ///< tables held at once: one bit each
   static constexpr int kTexels = 256;
 
-  int slotOfVector(const float* vector);
-  int slotOfLight(std::uint32_t light);
+  std::uint8_t slotOfVector(const float* vector);
+  std::uint8_t slotOfLight(std::uint32_t light);
+  std::uint8_t newSlot(const float* vector, std::uint32_t light);
   void fill();
-  float* table(int slot) { return tables_.get() + static_cast<std::size_t>(slot) * kTexels * kProductRow; }
+  float* table(int slot) { return tables_.get() + static_cast<std::size_t>(slot) * kProductTable; }
 
   const std::uint16_t* block_ = nullptr;
   int pad_ = 0;
   std::unique_ptr<float[]> tables_;          ///< float[kSlots][256][kProductRow]
-  std::vector<const float*> vector_;         ///< of each slot; none: a single light
-  std::vector<std::uint32_t> light_;         ///< of each slot
-  std::vector<std::uint8_t> slot_of_light_;  ///< kSlots: none
+  int slots_ = 0;                            ///< in use
+  const float* vector_[kSlots];              ///< of each slot; none: a single light
+  std::uint32_t light_[kSlots];              ///< of each slot
+  std::vector<std::uint8_t> slot_of_light_;  ///< kNoSlot: none
   std::vector<std::uint8_t> slot_of_hash_;   ///< of a vector's address, open addressing
-  std::uint64_t wanted_[kTexels] = {};       ///< by texel: slots
-  struct Noted {
-    const ShadingOperation* operation;
-    const LightGather* lights;
-    Rgb* result;
-    std::uint32_t first_row, first_color;
-    int shares, colors;
-    float share[4];
-    std::uint16_t texel[4];
-  };
-  std::vector<Noted> noted_;
-  std::vector<const float*> rows_;
-  std::vector<float> colors_;
+  const LightGather* lights_ = nullptr;      ///< what the next ones tell about
+  std::vector<std::uint8_t> slot_of_wanted_;
+  std::uint64_t wanted_[kTexels] = {};  ///< by texel: slots
   std::vector<ProductSum> sums_;
+  std::size_t sums_used_ = 0;
+  std::vector<std::uint8_t> terms_;  ///< slots of their terms
+  std::size_t terms_used_ = 0;
 };
 
 }  // namespace srf

@@ -6,6 +6,7 @@
 #include <random>
 
 #include "base/numeric.h"
+#include "render/light_kernels.h"
 #include "tests/support/hard_case.h"
 
 namespace srf {
@@ -122,6 +123,135 @@ struct Stage {
     return {vector, vector + scratch.size()};
   }
 };
+
+TEST(LightKernels, AgreeWithTheNearestLightsInDouble) {
+  std::mt19937 random(8);
+  std::normal_distribution<double> normal;
+  for (const int k : {1, 3, 4, 8}) {
+    std::vector<CaptureLight> captured;
+    std::vector<LightId> ids;
+    for (int i = 0; i < 100; ++i) {
+      CaptureLight light;
+      light.direction = Direction<AcquisitionSpace>::fromUnit(spiral(i, 100));
+      captured.push_back(light);
+      ids.push_back({static_cast<std::uint32_t>(i)});
+    }
+    const AcquiredLights list(ids, captured, Box<AcquisitionSpace>(), k);
+    const std::size_t count = 1003, stride = paddedLanes(count);
+    std::vector<float> lane[3], weight(k * stride);
+    std::vector<std::int32_t> cell(stride);
+    std::vector<std::uint32_t> light(k * stride);
+    std::vector<Direction<AcquisitionSpace>> directions;
+    for (std::size_t i = 0; i < stride; ++i) {
+      Vec3 d{normal(random), normal(random), normal(random)};
+      if (i % 5 == 0) d = spiral(static_cast<int>(i) % 100, 100) + (i % 3 == 0 ? 0 : 1e-4) * d;  // at or near a light
+      if (i % 7 == 0) d = {0, 1, i % 2 ? -1.0 : 1.0};  // where faces of the cube meet
+      directions.push_back(*normalize(Vector<AcquisitionSpace>(d)));
+      for (int c = 0; c < 3; ++c) lane[c].push_back(static_cast<float>(directions.back().raw()[c]));
+    }
+    const LightCells cells = *list.cells();
+    lightCells(lane[0].data(), lane[1].data(), lane[2].data(), count, cells.resolution, cell.data());
+    nearestWeights(cells, lane[0].data(), lane[1].data(), lane[2].data(), cell.data(), count, k, stride, weight.data(),
+                   light.data());
+    std::vector<Penalised> scratch;
+    std::vector<Weighted> nearest;
+    double largest = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+      list.nearest(directions[i], Point<AcquisitionSpace>(), scratch, nearest);
+      std::array<double, 100> difference{};
+      for (const Weighted& w : nearest) difference[w.source] += w.weight;
+      for (int j = 0; j < k; ++j) difference[light[j * stride + i]] -= weight[j * stride + i];
+      for (const double d : difference) largest = std::max(largest, std::fabs(d));
+    }
+    EXPECT_LT(largest, 4e-6) << k;
+    EXPECT_GT(largest, 0);
+  }
+}
+
+TEST(LightKernels, AgreeWithTheOrientationGridInDouble) {
+  std::mt19937 random(9);
+  const OrientationGrid grid(2);
+  const std::size_t count = 2005, stride = paddedLanes(count);
+  std::vector<float> m[9], fraction[3];
+  std::vector<std::int32_t> code(stride), cell[3];
+  OrientationLanes in{};
+  OrientationCells out{code.data(), {}, {}};
+  std::vector<Look> looks;
+  for (std::size_t i = 0; i < stride; ++i) {
+    looks.push_back(randomOrientation(random, i % 2));
+    if (i % 9 == 0) looks.back() = Look();
+    for (int j = 0; j < 9; ++j) m[j].push_back(static_cast<float>(looks[i].raw().row[j / 3][j % 3]));
+  }
+  for (int j = 0; j < 9; ++j) in.m[j] = m[j].data();
+  for (int j = 0; j < 3; ++j) {
+    fraction[j].resize(stride), cell[j].resize(stride);
+    out.fraction[j] = fraction[j].data(), out.cell[j] = cell[j].data();
+  }
+  orientationCells(in, count, grid.halfCells(), out);
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto want = grid.blend(looks[i]);
+    const auto got = grid.blend(OrientationGrid::Place{
+        code[i], {cell[0][i], cell[1][i], cell[2][i]}, {fraction[0][i], fraction[1][i], fraction[2][i]}});
+    const double margin = 2 * 4e-7 * grid.halfCells();  // shares are differences
+    for (int a = 0; a < 4; ++a) {
+      double wanted = 0, given = 0;
+      for (int b = 0; b < 4; ++b) {
+        if (want.corner[b] == want.corner[a]) wanted += want.share[b];
+        if (got.corner[b] == want.corner[a]) given += got.share[b];
+      }
+      EXPECT_NEAR(wanted, given, margin) << i;
+    }
+  }
+}
+
+TEST(LightWeights, OfManyHitsAreThoseOfEach) {
+  Stage stage(100, 256);
+  stage.lights.near_lights.push_back({Point<ObjectSpace>(1, 2, 1), {3, 2, 1}});
+  stage.lights.near_lights.push_back({Point<ObjectSpace>(-1, 0, 0.2), {1, 2, 3}});
+  stage.lights.rest.push_back({{7}, 0.5});
+  std::mt19937 random(10);
+  std::normal_distribution<double> normal;
+  std::vector<LitPoint> points;
+  std::vector<FrameLighting::Wanted> wanted;
+  for (std::uint32_t i = 0; i < 77; ++i) {
+    points.push_back({Point<AcquisitionSpace>(),
+                      Point<ObjectSpace>(0.1 * normal(random), 0.1 * normal(random), 0.1 * normal(random)),
+                      randomOrientation(random, i % 2),
+                      {}});
+    if (i == 5) points.back().p_star = stage.lights.near_lights[1].position;
+    if (i % 3 != 1) wanted.push_back({i, 0});
+  }
+  const FrameLighting lighting(stage.lights, stage.lists, {2, 1e-3, {}});
+  LightGather many, each;
+  lighting.gather(points, wanted, many);
+  for (const auto& one : wanted) lighting.gather(one.list, points[one.point], each);
+  ASSERT_EQ(many.weights.size(), wanted.size());
+  SharedLightVectors shared;
+  shared.prepare(lighting);
+  for (LightGather* gather : {&many, &each}) {
+    shared.want(gather->wanted, lighting);
+    shared.compute(lighting);
+    shared.resolve(*gather);
+  }
+  const int pad = lightPad(100);
+  std::vector<float> a(3 * pad), b(3 * pad);
+  for (std::size_t i = 0; i < wanted.size(); ++i) {
+    const float* got = many.vector(many.weights[i], pad, a.data());
+    const float* want = each.vector(each.weights[i], pad, b.data());
+    double sum = 0;
+    for (int j = 0; j < 3 * pad; ++j) sum += want[j];
+    for (int j = 0; j < 3 * pad; ++j) EXPECT_NEAR(got[j], want[j], 2e-5 * sum) << i;
+    // A hit's weights are its own: alone it gets the same bits.
+    LightGather alone;
+    lighting.gather(points, {&wanted[i], 1}, alone);
+    ASSERT_EQ(alone.weights[0].entries, many.weights[i].entries);
+    EXPECT_EQ(alone.weights[0].share, many.weights[i].share);
+    for (std::uint32_t e = 0; e < alone.weights[0].entries; ++e) {
+      EXPECT_EQ(alone.entries[e].light, many.entries[many.weights[i].first_entry + e].light);
+      EXPECT_EQ(alone.entries[e].weight, many.entries[many.weights[i].first_entry + e].weight);
+    }
+  }
+}
 
 TEST(LightWeights, KeepTheLightsEnergy) {
   const Stage stage(100, 256);
