@@ -1,15 +1,17 @@
 #include "acquire/acquire_field.h"
 
 #include <algorithm>
-#include <cstdio>
+#include <atomic>
 #include <set>
 
 #include "acquire/mask_pictures.h"
 #include "acquire/registration.h"
 #include "base/error.h"
 #include "base/files.h"
+#include "base/memory.h"
 #include "base/mesh_io.h"
 #include "base/parallel.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
@@ -113,35 +115,56 @@ void adjustCapture(Capture& capture, std::vector<SilhouetteView>& masks, const P
   const PoseAdjustment adjustment = adjustPoses(masks, options, reporter);
   if (!adjustment.kept) return;
   for (std::size_t i = 0; i < masks.size(); ++i) capture.views[i].camera = masks[i].camera;
-  const auto number = [](const char* format, double value) {
-    char text[32];
-    std::snprintf(text, sizeof text, format, value);
-    return std::string(text);
-  };
-  reporter.result("poses adjusted: silhouettes agree with the hull of all by " + number("%.4f", adjustment.iou_after) +
-                  " in the mean, before by " + number("%.4f", adjustment.iou_before));
+  reporter.result("poses adjusted: silhouettes agree with the hull of all by " + fixedNumber(adjustment.iou_after, 4) +
+                  " in the mean, before by " + fixedNumber(adjustment.iou_before, 4));
   for (const AdjustedView& v : adjustment.views)
-    reporter.result("  " + v.name + ": turned by " + number("%.3f", v.turned) + " degrees, moved by " +
-                    number("%.4g", v.moved) + " " + capture.units + "; outline off by " + number("%.2f", v.after) +
-                    " pixels, before by " + number("%.2f", v.before) + "; agreement " + number("%.4f", v.iou_after) +
-                    ", before " + number("%.4f", v.iou_before));
+    reporter.result("  " + v.name + ": turned by " + fixedNumber(v.turned, 3) + " degrees, moved by " +
+                    shortNumber(v.moved, 4) + " " + capture.units + "; outline off by " + fixedNumber(v.after, 2) +
+                    " pixels, before by " + fixedNumber(v.before, 2) + "; agreement " + fixedNumber(v.iou_after, 4) +
+                    ", before " + fixedNumber(v.iou_before, 4));
+}
+
+// Views become stores, as many at a time as have room for twice what reading takes; the rest of the memory is theirs
+// to keep photographs in.
+std::vector<StoredView> registerViews(const Capture& capture, const std::vector<SilhouetteView>& masks,
+                                      const fs::path& folder, const AcquireOptions& options, Reporter& reporter) {
+  std::size_t photo_count = 0, least = 1;
+  for (const CaptureView& view : capture.views) {
+    photo_count +=
+        std::count_if(view.photos.begin(), view.photos.end(), [](const Photo& p) { return p.light.has_value(); });
+    least = std::max(least, leastRegistrationMemory(view));
+  }
+  const std::size_t left = memoryLeft(options.memory_bytes);
+  const std::size_t lanes = std::clamp<std::size_t>(left / (2 * least), 1, static_cast<std::size_t>(threadCount()));
+  const RegistrationOptions registration{options.coding, left / lanes};
+  Reporter::Stage stage(reporter, "register views", photo_count);
+  std::vector<StoredView> stored(capture.views.size());
+  std::atomic<std::size_t> next{0};
+  parallelFor(lanes, 1, [&](std::size_t, std::size_t) {
+    for (std::size_t i; (i = next++) < stored.size();)
+      stored[i] = registerView(capture, ViewId{static_cast<std::uint32_t>(i)}, masks[i].mask, folder, registration,
+                               stage, reporter);
+  });
+  return stored;
 }
 
 }  // namespace
 
 SrfManifest acquireField(const Capture& given, const fs::path& out, const AcquireOptions& options, Reporter& reporter) {
-  Capture capture = given;  // its poses may be adjusted
+  std::optional<Capture> adjusted;
   const fs::path folder = out.has_filename() ? out : out.parent_path();
   OutputFolder output(folder);
-  checkAllPhotographs(capture, reporter);
+  checkAllPhotographs(given, reporter);
   SilhouetteOptions silhouette_options = options.silhouette;
-  silhouette_options.memory_bytes = options.memory_bytes;
-  std::vector<SilhouetteView> masks = silhouettes(capture, silhouette_options, reporter);
+  silhouette_options.memory_bytes = memoryLeft(options.memory_bytes);
+  std::vector<SilhouetteView> masks = silhouettes(given, silhouette_options, reporter);
   if (options.adjust_poses) {
     PoseAdjustmentOptions adjustment = *options.adjust_poses;
-    if (!adjustment.bounds) adjustment.bounds = options.hull.bounds ? options.hull.bounds : capture.bounds;
-    adjustCapture(capture, masks, adjustment, reporter);
+    if (!adjustment.bounds) adjustment.bounds = options.hull.bounds ? options.hull.bounds : given.bounds;
+    adjusted = given;
+    adjustCapture(*adjusted, masks, adjustment, reporter);
   }
+  const Capture& capture = adjusted ? *adjusted : given;
 
   SrfManifest manifest;
   manifest.units = capture.units;
@@ -149,7 +172,6 @@ SrfManifest acquireField(const Capture& given, const fs::path& out, const Acquir
   manifest.lights = capture.lights;
   manifest.source = fs::absolute(capture.folder / "").lexically_normal().parent_path().filename().string();
   manifest.command = options.command;
-  manifest.views.resize(capture.views.size());
 
   std::optional<VisualHull> hull;
   if (options.make_hull) {
@@ -161,18 +183,7 @@ SrfManifest acquireField(const Capture& given, const fs::path& out, const Acquir
   }
   if (!options.mask_pictures.empty())
     writeMaskPictures(capture, masks, hull ? &hull->mesh : nullptr, options.mask_pictures, reporter);
-  {
-    std::size_t photo_count = 0;
-    for (const CaptureView& view : capture.views)
-      photo_count +=
-          std::count_if(view.photos.begin(), view.photos.end(), [](const Photo& p) { return p.light.has_value(); });
-    Reporter::Stage stage(reporter, "register views", photo_count);
-    const RegistrationOptions registration{options.coding, options.memory_bytes / threadCount()};
-    parallelFor(capture.views.size(), 1, [&](std::size_t i, std::size_t) {
-      manifest.views[i] = registerView(capture, ViewId{static_cast<std::uint32_t>(i)}, masks[i].mask, folder,
-                                       registration, stage, reporter);
-    });
-  }
+  manifest.views = registerViews(capture, masks, folder, options, reporter);
   if (hull) {
     manifest.shapes.push_back(storeHull(hull->mesh, folder));
     for (const ViewConsistency& v : hull->views)

@@ -24,6 +24,8 @@ struct AcquireOptions {
   std::function<VisualHull(const std::vector<SilhouetteView>&, const VisualHull&, Reporter&)> refine_hull;
   std::filesystem::path mask_pictures;  ///< folder for pictures of the masks; empty: none
   StoreCoding coding;                   ///< of the reflectance images
+  /// That the whole process may hold: photographs are read again where it has no room for all of a view. A photograph
+  /// and a row of tiles of its view are held in any case, and the silhouettes of all views while the hull is carved.
   std::size_t memory_bytes = std::size_t{1} << 30;
   std::string command;  ///< recorded in the manifest
 };

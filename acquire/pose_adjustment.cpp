@@ -12,6 +12,7 @@
 #include "base/numeric.h"
 #include "base/parallel.h"
 #include "base/ray_scene.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
@@ -261,7 +262,7 @@ PoseAdjustment adjustPoses(std::vector<SilhouetteView>& views, const PoseAdjustm
   if (result.kept) {
     views = std::move(moved);
   } else {
-    reporter.warn("the poses are as they were: moved within " + std::to_string(options.uncertainty) +
+    reporter.warn("the poses are as they were: moved within " + shortNumber(options.uncertainty) +
                   " pixels, the silhouettes agree no better with their hull");
   }
   return result;

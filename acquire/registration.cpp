@@ -17,8 +17,16 @@ constexpr float kMost = 65504;  // largest half
 constexpr double kDark = 0.02;  // of the object's level: a background below it is black
 // Pixels around the silhouette that are no sure background: lens blur, a mask a bit too small.
 constexpr int kKeepOff = 3;
+// Bytes a pixel: a photograph of four floats while it is read, the sum, the mask without its rim and what is between.
+constexpr std::size_t kReadingBytes = 28;
+constexpr std::size_t kWorkingBytes = 4 << 20;  // of decoders, compressors and the blocks on their way
 // Pixels at the edge of a thresholded mask: the blur of sharp photographs.
 constexpr int kRim = 2;
+
+// Bytes of one row of tiles of all photographs.
+std::size_t rowBytes(std::size_t photo_count, std::size_t width) {
+  return photo_count * kTile * width * 3 * sizeof(std::uint16_t);
+}
 
 Error wrongSize(const Capture& capture, const CaptureView& view, const fs::path& file, int width, int height) {
   const Intrinsics& lens = view.camera.lens;
@@ -278,11 +286,10 @@ class Registration {
     sum_ = ImageF(mask_.width(), mask_.height(), 1);
 
     // As many rows of tiles at a time as fit; the photographs are read once for each such band.
-    const std::size_t row_bytes = photos_.size() * kTile * geometry_.cropWidth() * 3 * sizeof(std::uint16_t);
-    const std::size_t image_bytes = mask_.data().size() * 40;  // one photograph while it is read, and the sum
+    const std::size_t row_bytes = rowBytes(photos_.size(), static_cast<std::size_t>(geometry_.cropWidth()));
     // Coarser levels of the store wait for their other half: a row of blocks over all levels, less than as wide as
     // ours.
-    const std::size_t kept_bytes = image_bytes + row_bytes;
+    const std::size_t kept_bytes = mask_.data().size() * kReadingBytes + kWorkingBytes + row_bytes;
     const std::size_t budget = options_.memory_bytes > kept_bytes ? options_.memory_bytes - kept_bytes : 0;
     const int band = static_cast<int>(std::clamp<std::size_t>(budget / row_bytes, 1, geometry_.tiles_y));
 
@@ -343,6 +350,13 @@ class Registration {
 };
 
 }  // namespace
+
+std::size_t leastRegistrationMemory(const CaptureView& view) {
+  const auto width = static_cast<std::size_t>(view.camera.lens.width);
+  const auto lit = std::count_if(view.photos.begin(), view.photos.end(), [](const Photo& p) { return p.light; });
+  return width * static_cast<std::size_t>(view.camera.lens.height) * kReadingBytes + kWorkingBytes +
+         2 * rowBytes(static_cast<std::size_t>(lit), width);
+}
 
 void checkPhotographs(const Capture& capture, ViewId id) {
   const CaptureView& view = capture.views[id.value];

@@ -15,6 +15,9 @@ struct RegistrationOptions {
                              << 28;  ///< for this view; photographs are read again where it does not suffice
 };
 
+/// What registering a view holds at least, at the size of its camera: one photograph, and a row of tiles of all.
+std::size_t leastRegistrationMemory(const CaptureView& view);
+
 /// Throws bad_input where a photograph of the view is missing or not of the camera's size. Reads headers alone.
 void checkPhotographs(const Capture& capture, ViewId view);
 

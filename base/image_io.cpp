@@ -94,9 +94,6 @@ LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transf
   const auto input = openInput(file);
   const OIIO::ImageSpec spec = input->spec();
   const std::vector<int> order = colourChannels(spec);
-  std::vector<float> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels);
-  if (!input->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, all.data()))
-    throw badInput(file.string(), "ends early or is damaged (" + input->geterror() + "); copy it again");
   LoadedImage image;
   image.is_float = spec.format.is_floating_point();
   image.bits = static_cast<int>(spec.format.size() * 8);
@@ -105,6 +102,18 @@ LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transf
   image.pixels = ImageF(spec.width, spec.height, channels);
   const bool decode = !image.is_float && integer_transfer == Transfer::srgb;
   const bool straight = image.has_alpha && spec.get_int_attribute("oiio:UnassociatedAlpha") != 0;
+  const auto readInto = [&](std::vector<float>& to, int first, int end) {
+    if (!input->read_image(0, 0, first, end, OIIO::TypeDesc::FLOAT, to.data()))
+      throw badInput(file.string(), "ends early or is damaged (" + input->geterror() + "); copy it again");
+  };
+  bool in_order = true;
+  for (int c = 0; c < channels; ++c) in_order = in_order && order[c] == order[0] + c;
+  if (image.is_float && in_order && !straight) {  // as they stand in the file
+    readInto(image.pixels.data(), order[0], order[0] + channels);
+    return image;
+  }
+  std::vector<float> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels);
+  readInto(all, 0, spec.nchannels);
   float* to = image.pixels.data().data();
   for (std::size_t p = 0; p < static_cast<std::size_t>(spec.width) * spec.height; ++p)
     for (int c = 0; c < channels; ++c) {

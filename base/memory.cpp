@@ -1,7 +1,9 @@
 #include "base/memory.h"
 
+#include <malloc.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdio>
 
 namespace srf {
@@ -13,6 +15,12 @@ std::size_t residentBytes() {
     std::fclose(file);
   }
   return pages * static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
+}
+
+std::size_t memoryLeft(std::size_t budget) {
+  ::malloc_trim(0);
+  const std::size_t held = residentBytes();
+  return std::max(budget / 8, budget > held ? budget - held : 0);
 }
 
 }  // namespace srf

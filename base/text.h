@@ -6,10 +6,17 @@
 
 namespace srf {
 
-/// Six digits at most: "0.05", "1e-09", "512".
-inline std::string shortNumber(double x) {
+/// So many digits at most: "0.05", "1e-09", "512".
+inline std::string shortNumber(double x, int digits = 6) {
   char text[32];
-  std::snprintf(text, sizeof text, "%g", x);
+  std::snprintf(text, sizeof text, "%.*g", digits, x);
+  return text;
+}
+
+/// So many decimals: "0.9870". A plus sign before positive ones where asked.
+inline std::string fixedNumber(double x, int decimals, bool plus = false) {
+  char text[336];  // the largest double has 309 digits before its point
+  std::snprintf(text, sizeof text, plus ? "%+.*f" : "%.*f", decimals, x);
   return text;
 }
 
