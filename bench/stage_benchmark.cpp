@@ -161,37 +161,51 @@ void bareModelValues(std::size_t count) {
   });
 }
 
-// The kernels of view selection over hits on a sphere: `pairs` places of views, and bounds of `views` views a hit.
+// The kernels of view selection over hits on a sphere: `pairs` places of views, and bounds of `views` views a hit,
+// every other one of which sees it.
 class BareViews {
  public:
   BareViews(const Camera<AcquisitionSpace>& camera, std::size_t hits, std::size_t pairs, std::size_t views)
       : camera_(camera), hits_(hits), pairs_(pairs), views_(views) {
-    for (auto& lane : centers_) lane.assign(paddedLanes(views), 3.f);
+    for (std::size_t v = 0; v < views; ++v) {
+      const double z = 1 - (v + 0.5) * 2 / views, r = std::sqrt(1 - z * z), angle = 2.4 * static_cast<double>(v);
+      centers_[0].push_back(static_cast<float>(3 * r * std::cos(angle)));
+      centers_[1].push_back(static_cast<float>(3 * r * std::sin(angle)));
+      centers_[2].push_back(static_cast<float>(3 * z));
+      numbers_.push_back(static_cast<std::uint32_t>(v));
+    }
+    seen_.assign((views / 32 + 1) * kAtOnce, ~0u);
     for (std::size_t i = 0; i < kAtOnce; ++i) {
       const double z = 1 - (i + 0.5) * 2 / kAtOnce, r = std::sqrt(1 - z * z), angle = 2.4 * static_cast<double>(i);
       const double xyz[3] = {r * std::cos(angle), r * std::sin(angle), z};
       for (int k = 0; k < 9; ++k) lanes_[k].push_back(xyz[k % 3]);
       lanes_[9].push_back(3);
+      for (int k = 0; k < 3; ++k) near_[k].push_back(static_cast<float>(xyz[k]));
+      near_[3].push_back(0.3f);
     }
   }
   void run() const {
     parallelFor((hits_ + kAtOnce - 1) / kAtOnce, 8, [&](std::size_t begin, std::size_t end) {
-      std::vector<float> bound(paddedLanes(views_));
-      for (std::size_t h = begin * kAtOnce; h < std::min(hits_, end * kAtOnce); ++h) {
-        const float at = static_cast<float>(h % 100) * 0.01f;
-        penaltyBounds(centers_[0].data(), centers_[1].data(), centers_[2].data(), views_, {{at, 0, 0}, {0, 0, 1}, 0.3f},
-                      bound.data());
-      }
+      const int wanted = std::min<int>(static_cast<int>(pairs_ / hits_), kMostNearViews);
+      std::vector<float> bound(views_ * kAtOnce), rest(kAtOnce);
+      std::vector<std::int32_t> slot(wanted * kAtOnce);
+      const auto& n = near_;
+      for (std::size_t b = begin; b < end; ++b)
+        nearestViews(
+            {centers_[0].data(), centers_[1].data(), centers_[2].data(), numbers_.data(), views_},
+            {n[0].data(), n[1].data(), n[2].data(), n[0].data(), n[1].data(), n[2].data(), n[3].data(), seen_.data()},
+            kAtOnce, kAtOnce, wanted, bound.data(), slot.data(), rest.data());
     });
     parallelFor((pairs_ + kAtOnce - 1) / kAtOnce, 8, [&](std::size_t begin, std::size_t end) {
-      std::array<std::vector<double>, 6> out;
+      std::array<std::vector<double>, 11> out;
       for (auto& lane : out) lane.resize(kAtOnce);
       const auto& l = lanes_;
       const HitLanes in{l[0].data(), l[1].data(), l[2].data(), l[3].data(), l[4].data(),
                         l[5].data(), l[6].data(), l[7].data(), l[8].data(), l[9].data()};
       for (std::size_t b = begin; b < end; ++b)
-        placeViews(camera_, 0.05, in, kAtOnce,
-                   {out[0].data(), out[1].data(), out[2].data(), out[3].data(), out[4].data(), out[5].data()});
+        placeViews(camera_, {}, 0.05, in, kAtOnce,
+                   {out[0].data(), out[1].data(), out[2].data(), out[3].data(), out[4].data(), out[5].data(),
+                    out[6].data(), out[7].data(), out[8].data(), out[9].data(), out[10].data()});
     });
   }
 
@@ -200,6 +214,8 @@ class BareViews {
   Camera<AcquisitionSpace> camera_;
   std::size_t hits_, pairs_, views_;
   std::array<std::vector<float>, 3> centers_;
+  std::array<std::vector<float>, 4> near_;
+  std::vector<std::uint32_t> numbers_, seen_;
   std::array<std::vector<double>, 10> lanes_;
 };
 
@@ -319,7 +335,7 @@ int main(int argc, char** argv) {
       const auto hit_count = static_cast<std::size_t>(taken("hits"));
       if (hit_count > 0) {
         const std::size_t k = static_cast<std::size_t>(scene.accuracy.views) + 1;
-        const BareViews bare(manifest.views[0].camera, hit_count, k * hit_count, manifest.views.size());
+        const BareViews bare(manifest.views[0].camera, hit_count, k * hit_count, (manifest.views.size() + 1) / 2);
         views.add(bench::milliseconds([&] { bare.run(); }));
         blend.add(bench::milliseconds([&] { bareBlend(hit_count, lights); }));
       }

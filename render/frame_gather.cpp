@@ -9,8 +9,22 @@ namespace srf {
 
 void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
                                          std::vector<ShadingOperation>& out) const {
-  // The 2 x 2 texels fall into at most 2 x 2 tiles; each tile gets the taps that lie in it.
   const StoreGeometry& geometry = selection->views()[chosen.view].geometry;
+  const Fetch& fetch = chosen.fetch;
+  const float weight = static_cast<float>(chosen.weight);
+  const int in_x = fetch.x & (kTile - 1), in_y = fetch.y & (kTile - 1);
+  if (fetch.x >= 0 && fetch.y >= 0 && in_x < kTile - 1 && in_y < kTile - 1) {  // all in one tile
+    if (!(std::max({fetch.tap[0], fetch.tap[1], fetch.tap[2], fetch.tap[3]}) > 0)) return;
+    out.push_back({target,
+                   lights,
+                   geometry.tileNumber({fetch.level, fetch.x / kTile, fetch.y / kTile}),
+                   static_cast<std::uint16_t>(chosen.view),
+                   static_cast<std::uint8_t>(in_x),
+                   static_cast<std::uint8_t>(in_y),
+                   {weight * fetch.tap[0], weight * fetch.tap[1], weight * fetch.tap[2], weight * fetch.tap[3]}});
+    return;
+  }
+  // The 2 x 2 texels fall into at most 2 x 2 tiles; each tile gets the taps that lie in it.
   const std::size_t first = out.size();
   for (int t = 0; t < 4; ++t) {
     if (!(chosen.fetch.tap[t] > 0)) continue;
@@ -30,8 +44,7 @@ void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView&
                      static_cast<std::uint8_t>(corner_x),
                      static_cast<std::uint8_t>(corner_y),
                      {}});
-    out[at].tap[(y % kTile - corner_y) * 2 + (x % kTile - corner_x)] =
-        static_cast<float>(chosen.weight * chosen.fetch.tap[t]);
+    out[at].tap[(y % kTile - corner_y) * 2 + (x % kTile - corner_x)] = weight * fetch.tap[t];
   }
 }
 

@@ -1,5 +1,7 @@
 #include "render/view_kernels.h"
 
+#include <limits>
+
 #include "base/numeric.h"
 #include "field/lumigraph_weights.h"
 #include "render/highway_targets.h"
@@ -16,30 +18,84 @@ namespace srf {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-void bounds(const float* x, const float* y, const float* z, std::size_t count, const NearQuery& query, float* bound) {
+template <int kWanted>
+void nearestOf(const NearViews& views, const NearLanes& hits, std::size_t count, std::size_t stride, float* bound,
+               std::int32_t* slot, float* rest) {
   const hn::CappedTag<float, kVectorLanes> f;
-  const auto px = hn::Set(f, query.p[0]), py = hn::Set(f, query.p[1]), pz = hn::Set(f, query.p[2]);
-  const auto vx = hn::Set(f, query.v[0]), vy = hn::Set(f, query.v[1]), vz = hn::Set(f, query.v[2]);
-  const auto inverse_eye = hn::Set(f, query.inverse_eye), one = hn::Set(f, 1.f), zero = hn::Zero(f);
+  const hn::RebindToSigned<decltype(f)> n;
+  const hn::RebindToUnsigned<decltype(f)> u;
+  const auto one = hn::Set(f, 1.f), zero = hn::Zero(f), half = hn::Set(f, 0.5f), three_halves = hn::Set(f, 1.5f);
   const auto share = hn::Set(f, static_cast<float>(kResolutionPenalty)), margin = hn::Set(f, 1e-5f);
+  const auto infinite = hn::Set(f, std::numeric_limits<float>::infinity());
   for (std::size_t i = 0; i < count; i += hn::Lanes(f)) {
-    const auto tx = hn::Sub(hn::LoadU(f, x + i), px), ty = hn::Sub(hn::LoadU(f, y + i), py),
-               tz = hn::Sub(hn::LoadU(f, z + i), pz);
-    const auto squared = hn::MulAdd(tx, tx, hn::MulAdd(ty, ty, hn::Mul(tz, tz)));
-    auto r = hn::ApproximateReciprocalSqrt(squared);  // and a step of Newton's: some 1e-7
-    r = hn::Mul(r, hn::NegMulAdd(hn::Mul(hn::Set(f, 0.5f), squared), hn::Mul(r, r), hn::Set(f, 1.5f)));
-    const auto dx = hn::MulSub(tx, r, vx), dy = hn::MulSub(ty, r, vy), dz = hn::MulSub(tz, r, vz);
-    const auto chord = hn::Sqrt(hn::MulAdd(dx, dx, hn::MulAdd(dy, dy, hn::Mul(dz, dz))));
-    const auto ratio = hn::Mul(hn::Mul(squared, r), inverse_eye);
-    const auto resolution = hn::Mul(share, hn::Max(zero, hn::Sub(ratio, one)));
-    const auto least = hn::Sub(hn::Add(chord, resolution), hn::Mul(margin, hn::Add(one, ratio)));
-    // Not a number where p lies in the camera, or beyond float's range: then nothing is known.
-    hn::StoreU(hn::IfThenElse(hn::Gt(least, zero), least, zero), f, bound + i);
+    const auto px = hn::LoadU(f, hits.px + i), py = hn::LoadU(f, hits.py + i), pz = hn::LoadU(f, hits.pz + i);
+    const auto vx = hn::LoadU(f, hits.vx + i), vy = hn::LoadU(f, hits.vy + i), vz = hn::LoadU(f, hits.vz + i);
+    const auto inverse_eye = hn::LoadU(f, hits.inverse_eye + i);
+    hn::Vec<decltype(f)> best[kWanted], others = infinite;
+    hn::Vec<decltype(n)> of[kWanted];
+    for (int j = 0; j < kWanted; ++j) best[j] = infinite, of[j] = hn::Set(n, -1);
+    for (std::size_t s = 0; s < views.count; ++s) {
+      const auto tx = hn::Sub(hn::Set(f, views.x[s]), px), ty = hn::Sub(hn::Set(f, views.y[s]), py),
+                 tz = hn::Sub(hn::Set(f, views.z[s]), pz);
+      const auto squared = hn::MulAdd(tx, tx, hn::MulAdd(ty, ty, hn::Mul(tz, tz)));
+      auto r = hn::ApproximateReciprocalSqrt(squared);  // and a step of Newton's: some 1e-7
+      r = hn::Mul(r, hn::NegMulAdd(hn::Mul(half, squared), hn::Mul(r, r), three_halves));
+      // The chord to v is at most the angle.
+      const auto dx = hn::MulSub(tx, r, vx), dy = hn::MulSub(ty, r, vy), dz = hn::MulSub(tz, r, vz);
+      const auto chord = hn::Sqrt(hn::MulAdd(dx, dx, hn::MulAdd(dy, dy, hn::Mul(dz, dz))));
+      const auto ratio = hn::Mul(hn::Mul(squared, r), inverse_eye);
+      const auto resolution = hn::Mul(share, hn::Max(zero, hn::Sub(ratio, one)));
+      const auto least = hn::Sub(hn::Add(chord, resolution), hn::Mul(margin, hn::Add(one, ratio)));
+      const auto word = hn::LoadU(u, hits.seen + views.view[s] / 32 * stride + i);
+      const auto seen = hn::RebindMask(f, hn::TestBit(word, hn::Set(u, std::uint32_t{1} << views.view[s] % 32)));
+      // Not a number where p lies in the camera, or beyond float's range: then nothing is known.
+      auto value = hn::IfThenElse(seen, hn::IfThenElse(hn::Gt(least, zero), least, zero), infinite);
+      hn::StoreU(value, f, bound + s * stride + i);
+      auto view = hn::Set(n, static_cast<std::int32_t>(s));
+      for (int j = 0; j < kWanted; ++j) {
+        const auto nearer = hn::Lt(value, best[j]);
+        const auto nearer_view = hn::RebindMask(n, nearer);
+        const auto next = hn::IfThenElse(nearer, best[j], value);
+        const auto next_view = hn::IfThenElse(nearer_view, of[j], view);
+        best[j] = hn::IfThenElse(nearer, value, best[j]);
+        of[j] = hn::IfThenElse(nearer_view, view, of[j]);
+        value = next;
+        view = next_view;
+      }
+      others = hn::Min(others, value);
+    }
+    for (int j = 0; j < kWanted; ++j) hn::StoreU(of[j], n, slot + j * stride + i);
+    hn::StoreU(others, f, rest + i);
   }
 }
 
-void place(const Camera<AcquisitionSpace>& camera, double least_foreshortening, const HitLanes& hits, std::size_t count,
-           const ViewLanes& out) {
+void nearest(const NearViews& views, const NearLanes& hits, std::size_t count, std::size_t stride, int wanted,
+             float* bound, std::int32_t* slot, float* rest) {
+  const auto run = [&](auto of) { of(views, hits, count, stride, bound, slot, rest); };
+  switch (wanted) {
+    case 1:
+      return run(nearestOf<1>);
+    case 2:
+      return run(nearestOf<2>);
+    case 3:
+      return run(nearestOf<3>);
+    case 4:
+      return run(nearestOf<4>);
+    case 5:
+      return run(nearestOf<5>);
+    case 6:
+      return run(nearestOf<6>);
+    case 7:
+      return run(nearestOf<7>);
+    case 8:
+      return run(nearestOf<8>);
+    default:
+      return run(nearestOf<kMostNearViews>);
+  }
+}
+
+void place(const Camera<AcquisitionSpace>& camera, const Vec2& crop, double least_foreshortening, const HitLanes& hits,
+           std::size_t count, const ViewLanes& out) {
   const hn::CappedTag<double, kVectorLanes> d;
   const bool orthographic = camera.lens.isOrthographic();
   const Mat3& rotation = camera.pose.rotation().raw();  // columns: the camera's axes
@@ -79,10 +135,24 @@ void place(const Camera<AcquisitionSpace>& camera, double least_foreshortening, 
 
     const auto x = orthographic ? qx : hn::Div(qx, qz), y = orthographic ? qy : hn::Div(qy, qz);
     const Intrinsics& lens = camera.lens;
-    hn::StoreU(
-        hn::Add(hn::Add(hn::Mul(hn::Set(d, lens.fl_x), x), hn::Mul(hn::Set(d, lens.skew), y)), hn::Set(d, lens.cx)), d,
-        out.pixel_x + i);
-    hn::StoreU(hn::Add(hn::Mul(hn::Set(d, lens.fl_y), y), hn::Set(d, lens.cy)), d, out.pixel_y + i);
+    const auto pixel_x =
+        hn::Add(hn::Add(hn::Mul(hn::Set(d, lens.fl_x), x), hn::Mul(hn::Set(d, lens.skew), y)), hn::Set(d, lens.cx));
+    const auto pixel_y = hn::Add(hn::Mul(hn::Set(d, lens.fl_y), y), hn::Set(d, lens.cy));
+    hn::StoreU(pixel_x, d, out.pixel_x + i);
+    hn::StoreU(pixel_y, d, out.pixel_y + i);
+    hn::StoreU(hn::Min(hn::Min(pixel_x, pixel_y),
+                       hn::Min(hn::Sub(hn::Set(d, lens.width), pixel_x), hn::Sub(hn::Set(d, lens.height), pixel_y))),
+               d, out.border + i);
+    const auto split = [&](auto pixel, double first, double* floor, double* part) {
+      const auto at = hn::Sub(hn::Sub(pixel, half), hn::Set(d, first));
+      const auto near = hn::Floor(hn::Add(at, half));
+      const auto snapped = hn::IfThenElse(hn::Lt(hn::Abs(hn::Sub(at, near)), hn::Set(d, 1e-6)), near, at);
+      const auto below = hn::Floor(snapped);
+      hn::StoreU(below, d, floor);
+      hn::StoreU(hn::Sub(snapped, below), d, part);
+    };
+    split(pixel_x, crop.x, out.floor_x + i, out.part_x + i);
+    split(pixel_y, crop.y, out.floor_y + i, out.part_y + i);
     const auto before = orthographic ? hn::Gt(one, zero) : hn::Gt(qz, zero);
     hn::StoreU(hn::IfThenElseZero(hn::And(before, hn::Gt(length, zero)), one), d, out.usable + i);
   }
@@ -122,18 +192,18 @@ HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
 namespace srf {
-HWY_EXPORT(bounds);
+HWY_EXPORT(nearest);
 HWY_EXPORT(place);
 HWY_EXPORT(chords);
 HWY_EXPORT(angles);
 
-void penaltyBounds(const float* x, const float* y, const float* z, std::size_t count, const NearQuery& query,
-                   float* bound) {
-  HWY_DYNAMIC_DISPATCH(bounds)(x, y, z, count, query, bound);
+void nearestViews(const NearViews& views, const NearLanes& hits, std::size_t count, std::size_t stride, int wanted,
+                  float* bound, std::int32_t* slot, float* rest) {
+  HWY_DYNAMIC_DISPATCH(nearest)(views, hits, count, stride, wanted, bound, slot, rest);
 }
-void placeViews(const Camera<AcquisitionSpace>& camera, double least_foreshortening, const HitLanes& hits,
-                std::size_t count, const ViewLanes& out) {
-  HWY_DYNAMIC_DISPATCH(place)(camera, least_foreshortening, hits, count, out);
+void placeViews(const Camera<AcquisitionSpace>& camera, const Vec2& crop, double least_foreshortening,
+                const HitLanes& hits, std::size_t count, const ViewLanes& out) {
+  HWY_DYNAMIC_DISPATCH(place)(camera, crop, least_foreshortening, hits, count, out);
 }
 void squaredChords(const Vec3& d, const double* x, const double* y, const double* z, std::size_t count,
                    double* squared) {

@@ -3,21 +3,32 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
 #include "base/camera.h"
 #include "render/vector_lanes.h"
 
 namespace srf {
 
-/// A desired ray and the viewer, in units about an origin near the point.
-struct NearQuery {
-  float p[3], v[3];
-  float inverse_eye;  ///< 1 / eye_distance; 0 where the view's resolution does not count
+/// Hits about an origin near them, one array an axis.
+struct NearLanes {
+  const float *px, *py, *pz, *vx, *vy, *vz;
+  const float* inverse_eye;   ///< 1 / eye_distance; 0 where the view's resolution does not count
+  const std::uint32_t* seen;  ///< bit b of word w of hit i, at seen[w * stride + i]: view 32 w + b sees it
 };
-/// bound[i] <= viewPenalty of the view whose centre is (x, y, z)[i], all of it usable. About the same origin as the
-/// query; off by some 1e-5 of the penalty's radians, always downwards.
-void penaltyBounds(const float* x, const float* y, const float* z, std::size_t count, const NearQuery& query,
-                   float* bound);
+/// Views that see some of them: their centres about the same origin, not a number where the centre does not matter, and
+/// their numbers.
+struct NearViews {
+  const float *x, *y, *z;
+  const std::uint32_t* view;
+  std::size_t count;
+};
+inline constexpr int kMostNearViews = 9;  ///< that nearestViews finds
+/// bound[s * stride + i] <= viewPenalty of view s from hit i, all of it usable; infinite where it does not see the hit.
+/// Off by some 1e-5 of the penalty's radians, always downwards. slot[j * stride + i], j < wanted <= kMostNearViews: the
+/// views of least bound, nearest first, -1: no more; rest[i]: the least bound of the others.
+void nearestViews(const NearViews& views, const NearLanes& hits, std::size_t count, std::size_t stride, int wanted,
+                  float* bound, std::int32_t* slot, float* rest);
 
 /// squared[i] = |d - (x, y, z)[i]|^2, the same operations in every instruction set.
 void squaredChords(const Vec3& d, const double* x, const double* y, const double* z, std::size_t count,
@@ -44,11 +55,18 @@ struct ViewLanes {
   double* resolution;      ///< resolutionPenalty
   double* foreshortening;  ///< sqrt(n . direction), kept above 0
   double *pixel_x, *pixel_y;
-  double* usable;  ///< 0 where the view has no direction or no pixel there, else 1
+  double* usable;                               ///< 0 where the view has no direction or no pixel there, else 1
+  double* border;                               ///< pixels to the picture's border, below 0 outside
+  double *floor_x, *floor_y, *part_x, *part_y;  ///< TexelPlace
 };
-/// A view without lens distortion (pinhole or orthographic). The same operations in every instruction set; the angle is
-/// within 1e-15 of atan2's, the rest within two roundings of the scalar forms in view_selection.cpp.
-void placeViews(const Camera<AcquisitionSpace>& camera, double least_foreshortening, const HitLanes& hits,
-                std::size_t count, const ViewLanes& out);
+/// Where a pixel lies among the texels of the stored rectangle: the first of its 2 x 2, and the way to the next ones.
+struct TexelPlace {
+  double floor_x, floor_y, part_x, part_y;
+};
+/// A view without lens distortion (pinhole or orthographic) whose stored rectangle begins at pixel `crop`. The same
+/// operations in every instruction set; the angle is within 1e-15 of atan2's, the rest within two roundings of the
+/// scalar forms in view_selection.cpp.
+void placeViews(const Camera<AcquisitionSpace>& camera, const Vec2& crop, double least_foreshortening,
+                const HitLanes& hits, std::size_t count, const ViewLanes& out);
 
 }  // namespace srf

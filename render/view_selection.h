@@ -9,6 +9,7 @@
 #include "field/bilinear_fetch.h"
 #include "field/lumigraph_weights.h"
 #include "model/deformable_model.h"
+#include "render/view_kernels.h"
 
 namespace srf {
 
@@ -45,22 +46,27 @@ class ViewSelection {
     std::uint32_t view;
     bool whole;  ///< all four texels of the fetch are covered
     double penalty, angle, foreshortening;
-    double pixel_x, pixel_y;
+    Vec2 pixel;
+    TexelPlace place;
   };
   /// Memory that select() uses; one for each thread.
   struct Scratch {
-    std::vector<std::uint64_t> seen;                ///< of each hit: views that see one of its points
+    std::vector<std::uint64_t> seen, by_all;        ///< of each hit: views that see one of its points, or all of them
+    std::vector<double> weight;                     ///< of each hit: of its points together, at most 1
+    std::array<std::vector<double>, 10> hits;       ///< HitLanes of all hits
+    std::array<std::vector<float>, 7> near;         ///< NearLanes of all hits
+    std::vector<std::uint32_t> seen_lanes;          ///< the same views, by word and hit
     std::vector<std::uint32_t> views, slot;         ///< that see some hit; where each view is in `views`
-    std::vector<float> x, y, z, bounds;             ///< of those views: centres; by hit: bounds of their penalties
+    std::array<std::vector<float>, 3> centers;      ///< of those views
+    std::vector<float> bounds, rest;                ///< nearestViews
+    std::vector<std::int32_t> nearest;              ///< likewise
     std::vector<std::uint32_t> hit_of, view_of;     ///< of each pair to be looked at
     std::vector<std::uint32_t> begin, order;        ///< pairs by view
     std::array<std::vector<double>, 10> hit_lanes;  ///< of the pairs of one view
-    std::array<std::vector<double>, 6> view_lanes;
+    std::array<std::vector<double>, 11> view_lanes;
     std::vector<Tried> tried;                                 ///< of each pair
     std::vector<std::array<std::uint32_t, 2>> first, second;  ///< pairs of each hit: begin and end
-    std::vector<std::uint64_t> least;                         ///< of one hit
-    std::vector<Penalised> penalised;
-    std::vector<Weighted> weights;
+    std::vector<std::pair<Penalised, std::uint32_t>> ranked;  ///< of one hit: views and their pairs
     std::vector<std::pair<double, std::uint32_t>> standing_in;
   };
   /// The views of each hit.
@@ -82,8 +88,8 @@ class ViewSelection {
   /// Looks at the pairs from `begin` on, view by view.
   void lookAt(std::span<const ViewQuery> queries, std::size_t begin, Scratch& s) const;
   /// How much of the pixel's surroundings the view's picture holds, 0 to 1.
-  double covered(std::uint32_t view, const Vec2& pixel, bool& whole) const;
-  Fetch fetch(std::uint32_t view, const Vec2& pixel, bool whole) const;
+  double covered(std::uint32_t view, const Vec2& pixel, double border, const TexelPlace& place, bool& whole) const;
+  Fetch fetch(std::uint32_t view, const Vec2& pixel, const TexelPlace& place, bool whole) const;
   /// The nearest picture by angle that covers p, where no view sees it.
   bool standIn(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& s, ChosenView& chosen) const;
 
