@@ -14,6 +14,7 @@
 #include "acquire/structure_from_motion.h"
 #include "apps/calibrate_job.h"
 #include "apps/calibrate_lights.h"
+#include "apps/calibrate_masks.h"
 #include "apps/program.h"
 #include "base/error.h"
 #include "base/numeric.h"
@@ -407,6 +408,25 @@ void writeResult(const CalibrationJob& job, const fs::path& root, Capture& captu
 
 // ---- The ways
 
+/// The views of a capture with their photographs and lenses as they were taken.
+Capture shotOf(const Capture& capture, const fs::path& folder, const std::vector<PlacedView>& placed_views,
+               const std::vector<ShootPhoto>& photos) {
+  Capture shot;
+  shot.folder = folder;
+  for (const CaptureView& view : capture.views) {
+    const auto place = std::find_if(placed_views.begin(), placed_views.end(),
+                                    [&](const PlacedView& p) { return p.name == view.name; });
+    CaptureView taken;
+    taken.name = view.name;
+    taken.camera = place->camera_at;
+    for (const ShootPhoto& photo : photos)
+      if (photo.camera == place->camera && (place->view.empty() || photo.view == place->view))
+        taken.photos.push_back({photo.file, std::nullopt});
+    shot.views.push_back(std::move(taken));
+  }
+  return shot;
+}
+
 /// Linear images and lights where they are asked for, and the capture.
 void finish(const CalibrationJob& job, LightsAndImages& studio, std::vector<PlacedView> views,
             const std::vector<ShootPhoto>& photos, Reporter& reporter) {
@@ -423,10 +443,14 @@ void finish(const CalibrationJob& job, LightsAndImages& studio, std::vector<Plac
   else if (!job.lights.empty())
     lights = readLights(job.lights);
   studio.setStrengthsOf(lights, job.photos, cameras, reporter);
+  const std::vector<PlacedView> shot = views;
   if (studio.undistorts())
     for (PlacedView& view : views) view.camera_at.lens = Undistortion::pinholeOf(view.camera_at.lens);
   Capture capture = assemble(job, views, pictures, lights, reporter);
   capture.integer_transfer = studio.integerTransfer();
+  // Developed pictures lie elsewhere than the photographs, and masks are found beside those.
+  if (studio.develops() || !job.masks.empty())
+    carryMasks(shotOf(capture, job.photos, shot, photos), job.masks, capture, reporter);
   if (!studio.develops()) return writeResult(job, job.photos, capture, reporter);
   CalibrationJob result = job;
   result.developed = true;

@@ -55,7 +55,9 @@ void CalibrationJob::addOptions(CLI::App& app) {
   CLI::Option* sfm_option = app.add_flag("--sfm", sfm, "structure from motion: COLMAP finds the cameras by features");
   app.add_option("--colmap", colmap_model, "folder of a COLMAP model of PHOTOS (cameras, images: .bin or .txt)")
       ->excludes(sfm_option);
-  app.add_option("--masks", masks, "sfm: folder of masks, name.jpg.png or name.png; black has no features");
+  app.add_option("--masks", masks,
+                 "folder of masks, named as the photographs (name.jpg.png, name.png) or the views; sfm: black has no "
+                 "features");
   app.add_option("--distance", distance, "scale by two photographs and the distance of their cameras: A B LENGTH")
       ->expected(3)
       ->type_name("A B LENGTH");
@@ -96,8 +98,8 @@ void CalibrationJob::validate(const LightsAndImages& studio) const {
   if (board.empty() && !board_photos.empty()) throw usage("--board-photos needs --board");
   if (!colmap_model.empty() && (!board_photos.empty() || !lens_from.empty()))
     throw usage("--colmap takes its lenses from the model: leave out --board-photos and --lens-from");
-  if (!byFeatures() && (!distance.empty() || !points.empty() || !masks.empty()))
-    throw usage("--distance, --points and --masks need --sfm or --colmap");
+  if (!byFeatures() && (!distance.empty() || !points.empty()))
+    throw usage("--distance and --points need --sfm or --colmap");
   apart({{"--rig", rig}, {"--turntable", turntable}}, "a turntable's cameras are a rig");
   apart({{"--camera", !cameras.empty()}, {"--photos", !pattern.empty()}}, "each says what the paths mean");
   apart({{"--lens", lens.has_value()}, {"--lens-from", !lens_from.empty()}}, "a lens is fitted or held");

@@ -66,6 +66,18 @@ fi
   echo "## Deforming and refitting a million triangles"
   echo
   build/release/bench/deform_benchmark
+  if [[ ! -e $work/many/transforms.json ]]; then
+    "$srf" synth -o "$work/many" --object bumpy --material plastic --views 12 --lights 16 --size 1024 --supersampling 1 > /dev/null
+  fi
+  echo
+  echo "## Checking a capture"
+  echo
+  echo "\`srf check\` reads every photograph once. Beside it a bare loop over as many threads that decodes the same half-float EXR files and looks at none; the rest"
+  echo "of the check (masks, hull, shading against the light table) grows with the views, not with the photographs. Milliseconds as median (least .. most)."
+  echo
+  echo "| capture | bare decoding | whole check | of it the photographs | check over decoding |"
+  echo "|---|---|---|---|---|"
+  build/release/bench/check_benchmark "$work/many"
   # Python with mitsuba and numpy, where there is one: see the program's own text.
   if [[ -n ${MITSUBA_PYTHON:-} ]]; then
     "$srf" model "$work/bumpy.srf" --export "$work/bumpy.ply" > /dev/null

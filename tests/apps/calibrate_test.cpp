@@ -9,6 +9,7 @@
 #include <tuple>
 
 #include "acquire/board.h"
+#include "acquire/develop.h"
 #include "base/camera.h"
 #include "base/files.h"
 #include "base/image_io.h"
@@ -178,6 +179,59 @@ struct TableTop {
     writeTextFile(folder / "strengths.csv", "light,value\n0,1\n1,2\n2,3\n3,4\n4,5\n5,6\n");
   }
 };
+
+// One camera that is calibrated by a board apart from the photographs of the object.
+TEST(Calibrate, MasksAreUndistortedAsTheirPhotographsAre) {
+  const test::TemporaryFolder folder;
+  const Board board = parseBoard("charuco:7x5:25mm");
+  const Intrinsics lens{CameraModel::opencv, 320, 240, 350, 350, 161, 119, 0, -0.3, 0.1};
+  for (int stop = 0; stop < 6; ++stop)
+    writePng(folder / "board" / ("b" + std::to_string(stop) + ".png"), picture(board, lens, stop));
+  const auto transforms = [](const std::string& name) {
+    return R"({"camera_model": "OPENCV", "w": 320, "h": 240, "fl_x": 350, "fl_y": 350, "cx": 161, "cy": 119, "k1": -0.3,
+               "k2": 0.1, "frames": [{"file_path": ")" +
+           name + R"(", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]})";
+  };
+  writePng(folder / "object/v0_lamp.png", Image8(320, 240, 3, 90));
+  writeTextFile(folder / "lens/transforms.json", transforms("../object/v0_lamp.png"));
+  Image8 mask(320, 240, 1);
+  for (int y = 4; y < 200; ++y)
+    for (int x = 6; x < 140; ++x) mask.at(x, y) = 255;
+  writePng(folder / "object/masks/v0_lamp.png", mask);
+  writePng(folder / "elsewhere/camera.png", mask);  // by the view's name
+  Image8 inverted = mask;
+  for (std::uint8_t& v : inverted.data()) v = static_cast<std::uint8_t>(255 - v);
+  writePng(folder / "inverted/v0_lamp.png.png", inverted);
+  writePng(folder / "small/v0_lamp.png", Image8(160, 120, 1, 255));
+  const std::string command =
+      "object -o cap --photos {view}_{light}.png --board-photos board --board-pattern {view}.png "
+      "--lens-from lens --board " +
+      board.text() + " ";
+  const Image8 expected = Undistortion(lens).apply(mask);
+  for (const char* masks : {"", "--masks elsewhere ", "--masks inverted "}) {
+    SCOPED_TRACE(masks);
+    fs::remove_all(folder / "cap");
+    const Outcome run = calibrate(folder, command + masks + "--develop --undistort");
+    ASSERT_EQ(run.code, 0) << run.said;
+    const Capture capture = readCapture(folder / "cap");
+    ASSERT_EQ(capture.views.size(), 1u);
+    EXPECT_EQ(capture.views[0].camera.lens.model, CameraModel::pinhole);
+    EXPECT_EQ(capture.views[0].mask_file.lexically_normal(), folder / "cap/masks/camera.png");
+    EXPECT_EQ(readMask(capture.views[0].mask_file).data(), expected.data());
+  }
+  EXPECT_NE(expected.data(), mask.data());
+  fs::remove_all(folder / "cap");
+  // Developed alone: as it lies.
+  Outcome run = calibrate(folder, command + "--develop");
+  ASSERT_EQ(run.code, 0) << run.said;
+  EXPECT_TRUE(fs::equivalent(readCapture(folder / "cap").views[0].mask_file, folder / "object/masks/v0_lamp.png"));
+  fs::remove_all(folder / "cap");
+  run = calibrate(folder, command + "--develop --undistort --masks small");
+  EXPECT_EQ(run.code, 3);
+  EXPECT_NE(run.said.find("v0_lamp.png: is 160 x 120, its photographs 320 x 240"), std::string::npos) << run.said;
+  run = calibrate(folder, command + "--develop --undistort --masks board");
+  EXPECT_NE(run.said.find("holds no mask of any photograph or view"), std::string::npos) << run.said;
+}
 
 TEST(Calibrate, AMattBallAndAWhiteCardTellLightsInDevelopedPictures) {
   const test::TemporaryFolder folder;
