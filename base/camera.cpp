@@ -123,7 +123,10 @@ std::optional<Direction<CameraSpace>> Intrinsics::unproject(const Vec2& pixel) c
     const Vec2 back = distort(*this, q);
     if (!(std::hypot(back.x - x, back.y - y) < 1e-6) || !growsUpTo(*this, q.x * q.x + q.y * q.y)) return std::nullopt;
   }
-  return normalize(Vector<CameraSpace>(q.x, q.y, 1));
+  const double squared = q.x * q.x + q.y * q.y + 1;
+  if (!(squared < 1e100)) return normalize(Vector<CameraSpace>(q.x, q.y, 1));
+  const double inverse = 1 / std::sqrt(squared);
+  return Direction<CameraSpace>::fromUnit({q.x * inverse, q.y * inverse, inverse});
 }
 
 Intrinsics pinholeFromFov(int width, int height, double vfov_degrees) {

@@ -8,6 +8,7 @@
 #include "base/check.h"
 #include "base/numeric.h"
 #include "base/parallel.h"
+#include "model/frame_kernels.h"
 
 namespace srf {
 namespace {
@@ -285,6 +286,27 @@ void DeformedModel::intersect(std::span<const Ray<ObjectSpace>> rays, std::span<
 
 void DeformedModel::intersectTriangles(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const {
   TriangleHit met[kBatch];
+  thread_local BlendedFrames frames;  // for its memory
+  std::size_t of[kFrameLanes];        // hits in it
+  std::uint32_t reference[kFrameLanes];
+  frames.count = 0;
+  const auto blend = [&] {
+    srf::blendFrames(frames, kPhaseCosine, kNoFrame);
+    for (std::size_t i = 0; i < frames.count; ++i) {
+      SurfaceHit& hit = hits[of[i]];
+      if (!frames.holds[i]) {
+        hit.acquisition_from_tangent = rest_frame_[reference[i]];
+        hit.tangents = tangents_[reference[i]];
+        continue;
+      }
+      const auto get = [i](const FrameVector& from) { return Vec3{from[0][i], from[1][i], from[2][i]}; };
+      hit.acquisition_from_tangent = Orthogonal<AcquisitionSpace, TangentSpace>(
+          Mat3::fromColumns(get(frames.r_u), get(frames.r_v), get(frames.r_n)));
+      hit.tangents.u = Vector<ObjectSpace>(get(frames.t_u));
+      hit.tangents.v = Vector<ObjectSpace>(get(frames.t_v));
+    }
+    frames.count = 0;
+  };
   for (std::size_t begin = 0; begin < rays.size(); begin += kBatch) {
     const std::size_t count = std::min(kBatch, rays.size() - begin);
     scene_->intersect(rays.subspan(begin, count), {met, count});
@@ -310,11 +332,28 @@ void DeformedModel::intersectTriangles(std::span<const Ray<ObjectSpace>> rays, s
         hit.weight[place] = weight;
         hit.point[place] = corners[i];
       }
-      const Tangents<ObjectSpace>* carried[3];
-      for (int i = 0; i < 3; ++i) carried[i] = &tangents_[hit.point[i]];
-      blendFrames(hit, carried, a, tangents_[a]);
+      const std::size_t lane = frames.count++;
+      of[lane] = begin + k, reference[lane] = a;
+      double handedness = 0;
+      for (int i = 0; i < 3; ++i) {
+        const Mat3& frame = rest_frame_[hit.point[i]].raw();
+        const Tangents<ObjectSpace>& carried = tangents_[hit.point[i]];
+        const Vec3 &u = carried.u.raw(), &v = carried.v.raw();
+        frames.weight[i][lane] = hit.weight[i];
+        for (int axis = 0; axis < 3; ++axis) {
+          frames.rest_u[i][axis][lane] = frame.row[axis].x;
+          frames.rest_v[i][axis][lane] = frame.row[axis].y;
+          frames.u[i][axis][lane] = u[axis];
+          frames.v[i][axis][lane] = v[axis];
+        }
+        handedness += static_cast<double>(hit.weight[i]) * carried.handedness;
+      }
+      for (int axis = 0; axis < 3; ++axis) frames.reference[axis][lane] = rest_frame_[a].raw().row[axis].x;
+      hit.tangents.handedness = handedness < 0 ? -1 : 1;
+      if (frames.count == kFrameLanes) blend();
     }
   }
+  blend();
 }
 
 void DeformedModel::intersectSplats(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const {

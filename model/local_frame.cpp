@@ -12,9 +12,6 @@ namespace {
 // Smallest scalar part of the quaternion behind a Rodrigues vector (theory of the half turn: the frame of every normal
 // of exactly -z is a half turn, whatever its phase). Turns R0 by at most twice this.
 constexpr double kLeastScalarPart = 0x1p-20;
-// Sine between tangents below which they give no plane: their directions carry rounding errors near 1e-16, so that the
-// normal would be off by more than 1e-4 rad.
-constexpr double kCollapsedSine = 1e-12;
 // Sine between a normal and the tangent asked for below which the tangent says nothing.
 constexpr double kParallelSine = 1e-6;
 

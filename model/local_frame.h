@@ -11,6 +11,10 @@ enum class FrameMode {
   polar      ///< the nearest orthonormal pair in the tangent plane: independent of the free choice of (u0, v0)
 };
 
+/// Sine between tangents below which they give no plane: their directions carry rounding errors near 1e-16, so that the
+/// normal would be off by more than 1e-4 rad.
+inline constexpr double kCollapsedSine = 1e-12;
+
 /// R0 from the Rodrigues vector r0 = k tan(angle / 2) (Eq. 5). Finite for every finite r0, however long.
 Orthogonal<AcquisitionSpace, TangentSpace> rotationFromRodrigues(const Vec3& r0);
 /// r0 of R0, guarded at half turns (a normal of exactly -z): |q0| is kept at 2^-20 or more, which turns R0 by at most

@@ -71,27 +71,31 @@ DeferredShading::DeferredShading(std::vector<StoreGeometry> geometry, BlockCache
     : geometry_(std::move(geometry)), cache_(cache) {}
 
 void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder order) {
-  std::vector<Run> runs;
-  for (std::size_t b = 0; b < batches.size(); ++b) {
-    ShadingBatch& batch = batches[b];
-    batch.results.resize(batch.operations.size());
-    for (std::uint32_t i = 0; i < batch.operations.size(); ++i) {
-      const std::uint64_t key = blockKey(batch.operations[i]);
-      const bool joins = order == ExecutionOrder::sorted && i > 0 && runs.back().key == key;
-      if (joins)
-        ++runs.back().end;
-      else
-        runs.push_back({key, static_cast<std::uint32_t>(b), i, i + 1});
+  const bool sorted = order == ExecutionOrder::sorted;
+  std::vector<std::vector<Run>> runs_of(batches.size());
+  parallelFor(batches.size(), 1, [&](std::size_t first, std::size_t last) {
+    for (std::size_t b = first; b < last; ++b) {
+      ShadingBatch& batch = batches[b];
+      batch.results.resize(batch.operations.size());
+      for (std::uint32_t i = 0; i < batch.operations.size(); ++i) {
+        const std::uint64_t key = blockKey(batch.operations[i]);
+        if (sorted && i > 0 && runs_of[b].back().key == key)
+          ++runs_of[b].back().end;
+        else
+          runs_of[b].push_back({key, static_cast<std::uint32_t>(b), i, i + 1});
+      }
     }
-  }
+  });
+  std::vector<Run> runs;
+  for (const auto& of_batch : runs_of) runs.insert(runs.end(), of_batch.begin(), of_batch.end());
+  runs_of = {};
   std::vector<Job> jobs;
-  if (order == ExecutionOrder::sorted)
+  if (sorted)
     std::sort(runs.begin(), runs.end(),
               [](const Run& a, const Run& b) { return a.key != b.key ? a.key < b.key : a.batch < b.batch; });
   std::size_t operations = 0;
   for (std::size_t r = 0; r < runs.size(); ++r) {
-    const bool joins =
-        order == ExecutionOrder::sorted && r > 0 && runs[r].key == runs[r - 1].key && operations < kJobOperations;
+    const bool joins = sorted && r > 0 && runs[r].key == runs[r - 1].key && operations < kJobOperations;
     if (joins) {
       jobs.back().end = r + 1;
     } else {
@@ -102,7 +106,6 @@ void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder or
   }
 
   // In the order of the plan, so that blocks are used as they come. Threads take the next job when they are free.
-  const bool sorted = order == ExecutionOrder::sorted;
   if (sorted) {
     last_plan_.clear();
     for (const Job& job : jobs) last_plan_.push_back(runs[job.begin].key);

@@ -63,7 +63,9 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     out.seconds[stage] += std::chrono::duration<double>(now - clock).count();
     clock = now;
   };
-  std::vector<SurfaceHit> hits(rays.size());
+  thread_local std::vector<SurfaceHit> hit_memory;  // large, and all of a hit is written
+  if (hit_memory.size() < rays.size()) hit_memory.resize(rays.size());
+  const std::span<SurfaceHit> hits(hit_memory.data(), rays.size());
   deformed.intersect(rays, hits);  // M10
   lap(kTrace);
   if (plan.ground) {
@@ -72,13 +74,11 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   }
 
   std::vector<std::size_t> met;
-  std::vector<LookUp> look_ups;
   for (std::size_t i = 0; i < hits.size(); ++i)
-    if (hits[i].count > 0) {
-      met.push_back(i);
-      look_ups.push_back(lookUp(hits[i], settings.accuracy.frame));  // M11
-      out.collapsed += look_ups.back().collapsed;
-    }
+    if (hits[i].count > 0) met.push_back(i);
+  std::vector<LookUp> look_ups(met.size());
+  lookUp(hits, met, settings.accuracy.frame, look_ups);  // M11
+  for (const LookUp& look_up : look_ups) out.collapsed += look_up.collapsed;
   lap(kLookUp);
 
   std::vector<ViewQuery> queries;
@@ -86,11 +86,12 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   for (std::size_t m = 0; m < met.size(); ++m) {
     const SurfaceHit& hit = hits[met[m]];
     const LookUp& look_up = look_ups[m];
-    ViewQuery query{look_up.p, look_up.acquisition_from_object * -rays[met[m]].direction, look_up.normal};  // v = L v*
+    ViewQuery& query = queries.emplace_back();
+    query.p = look_up.p, query.normal = look_up.normal;
+    query.view = look_up.acquisition_from_object * -rays[met[m]].direction;  // v = L v*
     if (!camera.lens.isOrthographic()) query.eye_distance = distance(rays[met[m]].origin, hit.p_star);
     query.points = {hit.point, static_cast<std::size_t>(hit.count)};
     query.point_weights = {hit.weight, static_cast<std::size_t>(hit.count)};
-    queries.push_back(query);
   }
   thread_local ViewSelection::Scratch scratch;
   ViewSelection::Chosen chosen;
@@ -166,24 +167,26 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     lap(kShadows);
   }
   CastShadows::Counts cast_counts;
-  const auto lit = [&](std::size_t m) {
+  const auto light = [&](std::size_t m, LitPoint& point) {
     const LookUp& look_up = look_ups[m];
-    return LitPoint{look_up.p, hits[met[m]].p_star, look_up.acquisition_from_object,
-                    look_up.acquisition_from_object.inverse() * look_up.normal};
+    point.p = look_up.p, point.p_star = hits[met[m]].p_star;
+    point.acquisition_from_object = look_up.acquisition_from_object;
+    point.normal = look_up.acquisition_from_object.inverse() * look_up.normal;
   };
   if (!guided && !plan.cast) {
-    std::vector<LitPoint> points;
-    points.reserve(met.size());
-    for (std::size_t m = 0; m < met.size(); ++m) points.push_back(lit(m));
+    std::vector<LitPoint> points(met.size());
+    for (std::size_t m = 0; m < met.size(); ++m) light(m, points[m]);
     plan.lighting.gather(points, wanted, out.shading.lights);  // M13, M14
   } else {
+    LitPoint point;
     for (const auto& [m, list] : wanted) {
+      light(m, point);
       if (guided && guided_block.hits[m].gate > 0)
         guided->gather(guided_block, m, list, out.shading.lights, out.guided[m]);
       else if (plan.cast)
-        plan.cast->gather(list, lit(m), out.shading.lights, cast_counts);
+        plan.cast->gather(list, point, out.shading.lights, cast_counts);
       else
-        plan.lighting.gather(list, lit(m), out.shading.lights);
+        plan.lighting.gather(list, point, out.shading.lights);
     }
   }
   out.shading.lights.known = {};

@@ -276,9 +276,14 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   s.cache->plan(first_plan);  // while the next frame is gathered
   Frame frame;
   frame.rgba = ImageF(width, height, 4);
-  std::size_t not_finite = 0;
-  for (std::size_t i = 0; i < sums.size(); ++i)
-    for (int c = 0; c < 4; ++c) frame.rgba.data()[4 * i + c] = pixelValue(sums[i][c], plan.pattern.size(), not_finite);
+  std::vector<std::size_t> not_finite_of(height);
+  parallelFor(height, 16, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t y = begin; y < end; ++y)
+      for (std::size_t i = y * width; i < (y + 1) * width; ++i)
+        for (int c = 0; c < 4; ++c)
+          frame.rgba.data()[4 * i + c] = pixelValue(sums[i][c], plan.pattern.size(), not_finite_of[y]);
+  });
+  const std::size_t not_finite = std::accumulate(not_finite_of.begin(), not_finite_of.end(), std::size_t{0});
   frame.layers = layers.take();
   if (s.settings.support) frame.support = frame_support;
   lap("resolve");

@@ -14,5 +14,8 @@ struct LookUp {
 
 /// L = R0 (u-bar v-bar sigma n-bar)^T.
 LookUp lookUp(const SurfaceHit& hit, FrameMode mode);
+/// The same of the hits named, many at a time; the same bits.
+void lookUp(std::span<const SurfaceHit> hits, std::span<const std::size_t> which, FrameMode mode,
+            std::span<LookUp> look_ups);
 
 }  // namespace srf

@@ -55,9 +55,12 @@ double ViewSelection::covered(std::uint32_t view, const Vec2& pixel, double bord
   return inside * bilinearFetch(source, pixel).covered;
 }
 
-Fetch ViewSelection::fetch(std::uint32_t view, const Vec2& pixel, const TexelPlace& place, bool whole) const {
-  if (!whole) return bilinearFetch(views_[view], pixel);
-  Fetch fetch;
+void ViewSelection::fetch(std::uint32_t view, const Vec2& pixel, const TexelPlace& place, bool whole,
+                          Fetch& fetch) const {
+  if (!whole) {
+    fetch = bilinearFetch(views_[view], pixel);
+    return;
+  }
   const double x = place.part_x, y = place.part_y;
   fetch.x = static_cast<int>(place.floor_x), fetch.y = static_cast<int>(place.floor_y);
   fetch.tap[0] = static_cast<float>((1 - x) * (1 - y));
@@ -65,7 +68,6 @@ Fetch ViewSelection::fetch(std::uint32_t view, const Vec2& pixel, const TexelPla
   fetch.tap[2] = static_cast<float>((1 - x) * y);
   fetch.tap[3] = static_cast<float>(x * y);
   fetch.covered = 1;
-  return fetch;
 }
 
 void ViewSelection::lookAt(std::span<const ViewQuery> queries, std::size_t begin, Scratch& s) const {
@@ -108,13 +110,11 @@ void ViewSelection::lookAt(std::span<const ViewQuery> queries, std::size_t begin
     for (std::size_t i = 0; i < count; ++i) {
       const std::uint32_t pair = s.order[at + i], h = s.hit_of[pair];
       Tried& tried = s.tried[pair];
-      tried = {view,
-               false,
-               kPenaltyCap,
-               to.angle[i],
-               to.foreshortening[i],
-               {to.pixel_x[i], to.pixel_y[i]},
-               {to.floor_x[i], to.floor_y[i], to.part_x[i], to.part_y[i]}};
+      tried.view = view, tried.whole = false, tried.penalty = kPenaltyCap;
+      tried.angle = to.angle[i], tried.foreshortening = to.foreshortening[i];
+      tried.pixel.x = to.pixel_x[i], tried.pixel.y = to.pixel_y[i];
+      tried.place.floor_x = to.floor_x[i], tried.place.floor_y = to.floor_y[i];
+      tried.place.part_x = to.part_x[i], tried.place.part_y = to.part_y[i];
       double border = to.border[i];
       if (distorted) {
         const auto projection = source.camera.project(queries[h].p);
@@ -276,8 +276,9 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
       const Tried& tried = s.tried[i];
       weight *= tried.foreshortening;
       sum += weight;
-      chosen.views.push_back(
-          {tried.view, weight, tried.angle, tried.penalty, fetch(tried.view, tried.pixel, tried.place, tried.whole)});
+      ChosenView& view = chosen.views.emplace_back();
+      view.view = tried.view, view.weight = weight, view.angle = tried.angle, view.penalty = tried.penalty;
+      fetch(tried.view, tried.pixel, tried.place, tried.whole, view.fetch);
     };
     for (std::size_t i = 0; i < nearest; ++i) {
       const double weight = 1 / std::max(order[i].first.penalty, kLeastPenalty) - 1 / t;
@@ -316,7 +317,8 @@ bool ViewSelection::standIn(const ViewQuery& query, std::span<const std::uint8_t
     const Vec2& pixel = projection->pixel;
     const TexelPlace place = texelPlace(views_[view].geometry, pixel);
     if (!(covered(view, pixel, borderOf(views_[view].camera.lens, pixel), place, whole) > 0)) continue;
-    chosen = {view, 1, angle, std::numeric_limits<double>::infinity(), fetch(view, pixel, place, whole)};
+    chosen = {view, 1, angle, std::numeric_limits<double>::infinity(), {}};
+    fetch(view, pixel, place, whole, chosen.fetch);
     return true;
   }
   return false;

@@ -44,6 +44,33 @@ TEST(LookUp, ARigidMotionIsUndoneExactly) {
     }
 }
 
+TEST(LookUp, OfManyHitsIsThatOfEach) {
+  std::mt19937 random(4);
+  std::normal_distribution<double> normal;
+  std::vector<SurfaceHit> hits;
+  std::vector<std::size_t> which;
+  for (std::size_t i = 0; i < 200; ++i) {
+    Mat3 jacobian{{Vec3{normal(random), normal(random), normal(random)},
+                   Vec3{normal(random), normal(random), normal(random)},
+                   Vec3{normal(random), normal(random), normal(random)}}};
+    if (i % 10 == 3) jacobian = 1e-140 * jacobian;
+    if (i % 10 == 7) jacobian = 0.0 * jacobian;
+    hits.push_back(hitWith(randomRotation(random), jacobian));
+    if (i % 3 != 1) which.push_back(i);
+  }
+  for (const FrameMode mode : {FrameMode::bisector, FrameMode::polar}) {
+    std::vector<LookUp> many(which.size());
+    lookUp(hits, which, mode, many);
+    for (std::size_t i = 0; i < which.size(); ++i) {
+      const LookUp one = lookUp(hits[which[i]], mode);
+      EXPECT_EQ(many[i].acquisition_from_object.raw(), one.acquisition_from_object.raw()) << i;
+      EXPECT_EQ(many[i].p.raw(), one.p.raw());
+      EXPECT_EQ(many[i].normal.raw(), one.normal.raw());
+      EXPECT_EQ(many[i].collapsed, one.collapsed);
+    }
+  }
+}
+
 TEST(LookUp, AMirrorIsUndoneByAReflection) {
   std::mt19937 random(2);
   for (const FrameMode mode : {FrameMode::bisector, FrameMode::polar})
