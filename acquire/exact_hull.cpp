@@ -36,6 +36,19 @@ Intrinsics withoutDistortion(const Intrinsics& lens) {
   return out;
 }
 
+// The squared distance as the cost, with a share so small that it tells equal costs apart: which of two vertices goes
+// first would else be left to CGAL's queue, whose order comes from where things lie in memory.
+struct DistinctCost {
+  template <class Triangulation, class Iterator>
+  boost::optional<double> operator()(const Triangulation& triangulation, Iterator vertex) const {
+    const auto cost = CGAL::Polyline_simplification_2::Squared_distance_cost()(triangulation, vertex);
+    if (!cost) return cost;
+    const auto& p = (*vertex)->point();
+    const double turns = 0.7548776662466927 * p.x() + 0.5698402909980532 * p.y(), share = turns - std::floor(turns);
+    return *cost * (1 - 1e-9 * share) - 1e-12 * share;
+  }
+};
+
 // The same loops as fewer points, none of them crossing itself or another.
 std::vector<std::vector<Vec2>> simplified(const std::vector<std::vector<Vec2>>& loops, double tolerance) {
   namespace Simplification = CGAL::Polyline_simplification_2;
@@ -44,18 +57,18 @@ std::vector<std::vector<Vec2>> simplified(const std::vector<std::vector<Vec2>>& 
   using Triangulation = CGAL::Constrained_triangulation_plus_2<CGAL::Constrained_Delaunay_triangulation_2<
       Plane, CGAL::Triangulation_data_structure_2<Vertex, Face>, CGAL::Exact_predicates_tag>>;
   Triangulation triangulation;
+  std::vector<Triangulation::Constraint_id> inserted;  // the triangulation's own list is sorted by address
   for (const auto& loop : loops) {
     std::vector<Plane::Point_2> points;
     for (const Vec2& p : loop) points.emplace_back(p.x, p.y);
-    triangulation.insert_constraint(points.begin(), points.end(), true);
+    inserted.push_back(triangulation.insert_constraint(points.begin(), points.end(), true));
   }
-  Simplification::simplify(triangulation, Simplification::Squared_distance_cost(),
+  Simplification::simplify(triangulation, DistinctCost(),
                            Simplification::Stop_above_cost_threshold(tolerance * tolerance));
   std::vector<std::vector<Vec2>> out;
-  for (auto c = triangulation.constraints_begin(); c != triangulation.constraints_end(); ++c) {
+  for (const auto c : inserted) {
     std::vector<Vec2> loop;
-    for (auto v = triangulation.vertices_in_constraint_begin(*c); v != triangulation.vertices_in_constraint_end(*c);
-         ++v)
+    for (auto v = triangulation.vertices_in_constraint_begin(c); v != triangulation.vertices_in_constraint_end(c); ++v)
       loop.push_back({(*v)->point().x(), (*v)->point().y()});
     if (loop.size() > 1 && loop.front() == loop.back()) loop.pop_back();
     if (loop.size() >= 3) out.push_back(std::move(loop));
@@ -126,6 +139,10 @@ struct Polyhedron {
     if (face == ExactMesh::null_face()) return false;
     facet[face] = number;
     return true;
+  }
+  void takeFrom(Polyhedron& other) {
+    mesh = std::move(other.mesh);
+    facet = mesh.property_map<ExactMesh::Face_index, std::uint32_t>("f:facet").first;
   }
 };
 
@@ -379,25 +396,33 @@ AcquisitionMesh exactHull(std::span<const SilhouettePolygons> views, const Box<A
     const auto [near_depth, far_depth] = depthsOf(bounds, view.camera);
     stage.advance();
     if (far_depth <= near_depth) continue;  // the box lies behind the camera
-    const auto cone = conePolyhedron(view, near_depth, far_depth, origin, normals);
-    FacetVisitor::State state{*hull, *cone};
+    // Side by side: corefinement works in an order that comes from which of the two lies first in memory.
+    struct {
+      Polyhedron hull, cone;
+    } both;
+    both.hull.takeFrom(*hull);
+    both.cone.takeFrom(*conePolyhedron(view, near_depth, far_depth, origin, normals));
+    ExactMesh &result = both.hull.mesh, &cone = both.cone.mesh;
+    FacetVisitor::State state{both.hull, both.cone};
     const auto visitor = CGAL::parameters::visitor(FacetVisitor(&state));
-    const bool whole = view.of_background
-                           ? PMP::corefine_and_compute_difference(hull->mesh, cone->mesh, hull->mesh, visitor)
-                           : PMP::corefine_and_compute_intersection(hull->mesh, cone->mesh, hull->mesh, visitor);
+    const bool whole = view.of_background ? PMP::corefine_and_compute_difference(result, cone, result, visitor)
+                                          : PMP::corefine_and_compute_intersection(result, cone, result, visitor);
     if (!whole)
       throw Error(ErrorKind::failed,
                   "its cone leaves parts that touch in a point or a line, which is no closed surface; simplify the "
                   "contours a little more or less, or carve the hull",
                   view.name);
-    if (hull->mesh.is_empty())
+    if (result.is_empty())
       throw badInput(view.name,
                      "its silhouette takes away the last of the hull: no point lies in all silhouettes; "
                      "check its mask and camera, or leave it out");
-    hull->mesh.collect_garbage();
+    result.collect_garbage();
     // The numbers themselves in place of how they came about: memory stays small and later tests are quick.
-    for (const auto v : hull->mesh.vertices()) hull->mesh.point(v).exact();
-    if (auto simpler = withWholeFacets(*hull, normals)) hull = std::move(simpler);
+    for (const auto v : result.vertices()) result.point(v).exact();
+    if (auto simpler = withWholeFacets(both.hull, normals))
+      hull = std::move(simpler);
+    else
+      hull->takeFrom(both.hull);
   }
   AcquisitionMesh mesh;
   for (const auto v : hull->mesh.vertices()) {

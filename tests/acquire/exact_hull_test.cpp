@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
+#include <random>
 
 #include "acquire/silhouette_contours.h"
 #include "acquire/surface_distance.h"
@@ -188,6 +190,46 @@ TEST(ExactHull, AgreesWithCarvingOfTheSamePolygons) {
   EXPECT_NEAR(meshVolume(exact) / meshVolume(carved.mesh), 1, 0.003);
   // The same bits again: nothing depends on where things lie in memory.
   EXPECT_EQ(exactHull(polygons, cube(2), Reporter::silent()).positions, exact.positions);
+}
+
+// Leaves the heap so that things made in one order come to lie in another.
+void scatterHeap(unsigned seed) {
+  std::mt19937 random(seed);
+  std::vector<std::unique_ptr<char[]>> blocks;
+  for (int i = 0; i < 20000; ++i) blocks.push_back(std::make_unique<char[]>(16 * (1 + random() % 24)));
+  std::shuffle(blocks.begin(), blocks.end(), random);
+}
+
+TEST(ExactHull, TheSameMasksGiveTheSameBits) {
+  // Stairs and equal parts: many vertices whose loss costs the same.
+  std::vector<SilhouetteView> views;
+  for (int i = 0; i < 4; ++i) {
+    SilhouettePolygons placed = wavyOutline(i, 4, 8);
+    SilhouetteView blocks{placed.name, placed.camera, Image8(256, 256, 1)};
+    for (int y = 0; y < 256; ++y)
+      for (int x = 0; x < 256; ++x)
+        for (int k = 0; k < 5; ++k)
+          if (std::hypot(x - 60.0 - 34 * k, y - 128.0) < 15 ||
+              (k == 2 && std::abs(x - y) < 9 && std::abs(y - 128) < 80))
+            blocks.mask.at(x, y) = 255;
+    views.push_back(std::move(blocks));
+  }
+  const auto polygonsOf = [&] {
+    std::vector<SilhouettePolygons> polygons;
+    for (const SilhouetteView& v : views) polygons.push_back(silhouettePolygons(v, 2));
+    return polygons;
+  };
+  const auto polygons = polygonsOf();
+  const AcquisitionMesh hull = exactHull(polygons, cube(2), Reporter::silent());
+  for (unsigned seed = 1; seed <= 4; ++seed) {
+    scatterHeap(seed);
+    const auto again = polygonsOf();
+    for (std::size_t i = 0; i < polygons.size(); ++i) EXPECT_EQ(again[i].loops, polygons[i].loops) << seed;
+    scatterHeap(seed + 100);
+    const AcquisitionMesh hull_again = exactHull(polygons, cube(2), Reporter::silent());
+    EXPECT_EQ(hull_again.positions, hull.positions) << seed;
+    EXPECT_EQ(hull_again.triangles, hull.triangles) << seed;
+  }
 }
 
 TEST(ExactHull, LensesAreStraightened) {
