@@ -152,6 +152,7 @@ int main(int argc, char** argv) {
     double sums[3] = {}, flips[3] = {};
     std::vector<ImageF> taken, made;  // about the silhouettes
     const std::size_t every_shown = (held_out.size() + 5) / 6;
+    std::size_t scored = 0;
     std::printf("| view | interpolated, dB / FLIP | nearest photograph | average of four |\n|---|---|---|---|\n");
     for (const std::size_t view : held_out) {
       const Camera<ObjectSpace> camera = atRest(all.views[view].camera);
@@ -170,7 +171,8 @@ int main(int argc, char** argv) {
         std::printf("| %.2f / %.3f ", figures.psnr, figures.flip);
       }
       std::printf("|\n");
-      if ((&view - held_out.data()) % static_cast<std::ptrdiff_t>(every_shown) != 0) continue;
+      std::fflush(stdout);
+      if (scored++ % every_shown != 0) continue;
       taken.push_back(aroundSilhouette(truth, inside)), made.push_back(aroundSilhouette(frame.rgba, inside));
     }
     if (!sheet.empty()) {
