@@ -5,6 +5,7 @@
 #include <set>
 
 #include "acquire/camera_import.h"
+#include "acquire/capture_drawing.h"
 #include "acquire/capture_pictures.h"
 #include "acquire/check_lights.h"
 #include "acquire/check_masks.h"
@@ -240,6 +241,7 @@ CheckReport checkCapture(const std::filesystem::path& folder, const CheckOptions
     reportExposure(capture, found, report);
   }
   forecast(capture, masks, options, report);
+  if (options.pictures) report.drawing = captureDrawing(capture, CameraAxes::opencv);
   if (options.pictures) drawPictures(capture, photos, views, which, hull, report);
   dropUnusable(capture, photos, report);
   return report;

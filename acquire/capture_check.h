@@ -39,6 +39,7 @@ struct MendedCapture {
 struct CheckReport {
   std::vector<CheckItem> items;
   std::vector<CheckPicture> pictures;                   ///< where asked
+  std::string drawing;                                  ///< SVG: captureDrawing; where asked
   std::vector<Vec3> view_directions, light_directions;  ///< from the object's centre
   std::vector<double> view_iou;                         ///< of each view with the hull of all; -1: it has none
   std::vector<double> view_gain;                        ///< of each view against the others; empty: not known

@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <opencv2/imgproc.hpp>
 
 #include "base/parallel.h"
 #include "base/ray_scene.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
@@ -126,8 +126,7 @@ Image8 agreementSheet(const AcquisitionMesh& hull, const std::vector<SilhouetteV
   cv::Mat on = matOf(sheet);
   for (std::size_t i = 0; i < views.size(); ++i) {
     const int x0 = static_cast<int>(i) % columns * tile, y0 = static_cast<int>(i) / columns * (tile + line);
-    char text[32];
-    std::snprintf(text, sizeof text, " %.3f", iou[i]);
+    const std::string text = " " + fixedNumber(iou[i], 3);
     cv::putText(on, asciiName(views[i].name, static_cast<std::size_t>(std::max(4, tile / 7 - 6))) + text,
                 {x0 + 2, y0 + tile + 13}, cv::FONT_HERSHEY_SIMPLEX, 0.36, kBlack, 1, cv::LINE_AA);
   }

@@ -19,42 +19,10 @@ std::string sizeText(int width, int height) {
   return std::to_string(width) + " x " + std::to_string(height);
 }
 
+constexpr std::size_t kFewestAtCeiling = 16;  // pixels of one value
+
 std::int32_t bitsOf(float v) {
   return std::bit_cast<std::int32_t>(v);
-}
-
-/// Whether the brightest value is one that was cut off: many lit pixels hold exactly it, few lie just below, and the
-/// picture grows towards it. A smooth maximum has more just below; a flat face in even light has a jump at its edge.
-void findCeiling(const ImageF& brightest, float most, PhotoFacts& facts) {
-  const float dark = 0.02f * most;
-  // None is negative: their bits are in the order of their values, and compared many at a time.
-  const std::int32_t top = bitsOf(most), nearly = bitsOf(0.99f * most), faint = bitsOf(dark);
-  std::int32_t at = 0, just_below = 0, lit = 0;
-  for (const float v : brightest.data()) {
-    const std::int32_t bits = bitsOf(v);
-    at += bits == top;
-    just_below += bits >= nearly;
-    lit += bits >= faint;
-  }
-  just_below -= at;
-  if (at < 16 || 100 * std::size_t(at) < std::size_t(lit) || 2 * just_below > at) return;
-  std::size_t border = 0, bright_border = 0;
-  for (int y = 0; y < brightest.height(); ++y) {
-    const float* row = brightest.row(y);
-    const float* next = y + 1 < brightest.height() ? brightest.row(y + 1) : row;
-    for (int x = 0; x < brightest.width(); ++x) {
-      const float v = row[x];
-      if (v < dark) continue;
-      for (const float w : {x + 1 < brightest.width() ? row[x + 1] : v, next[x]}) {
-        if ((v == most) == (w == most) || w < dark) continue;
-        ++border;
-        bright_border += std::min(v, w) > 0.8f * most;
-      }
-    }
-  }
-  if (border < 8 || 2 * bright_border < border) return;
-  facts.ceiling = most;
-  facts.at_ceiling = static_cast<double>(at) / static_cast<double>(lit);
 }
 
 /// Of each pixel of a row the sum of its colours and the brightest; what is no number counts nothing.
@@ -93,6 +61,45 @@ void sumColours(const float* from, int width, int channels, float* sums, float* 
   }
 }
 
+/// Whether the brightest value is one that was cut off: many lit pixels hold exactly it, few lie just below, and the
+/// picture grows towards it. A smooth maximum has more just below; a flat face in even light has a jump at its edge.
+void findCeiling(const ImageF& photo, float most, PhotoFacts& facts) {
+  ImageF brightest(photo.width(), photo.height(), 1);
+  std::vector<float> sums(static_cast<std::size_t>(photo.width()));
+  PhotoFacts counted_already;
+  for (int y = 0; y < photo.height(); ++y)
+    sumColours(photo.row(y), photo.width(), photo.channels(), sums.data(), brightest.row(y), counted_already);
+  const float dark = 0.02f * most;
+  // None is negative: their bits are in the order of their values, and compared many at a time.
+  const std::int32_t top = bitsOf(most), nearly = bitsOf(0.99f * most), faint = bitsOf(dark);
+  std::int32_t at = 0, just_below = 0, lit = 0;
+  for (const float v : brightest.data()) {
+    const std::int32_t bits = bitsOf(v);
+    at += bits == top;
+    just_below += bits >= nearly;
+    lit += bits >= faint;
+  }
+  just_below -= at;
+  if (100 * std::size_t(at) < std::size_t(lit) || 2 * just_below > at) return;
+  std::size_t border = 0, bright_border = 0;
+  for (int y = 0; y < brightest.height(); ++y) {
+    const float* row = brightest.row(y);
+    const float* next = y + 1 < brightest.height() ? brightest.row(y + 1) : row;
+    for (int x = 0; x < brightest.width(); ++x) {
+      const float v = row[x];
+      if (v < dark) continue;
+      for (const float w : {x + 1 < brightest.width() ? row[x + 1] : v, next[x]}) {
+        if ((v == most) == (w == most) || w < dark) continue;
+        ++border;
+        bright_border += std::min(v, w) > 0.8f * most;
+      }
+    }
+  }
+  if (border < 8 || 2 * bright_border < border) return;
+  facts.ceiling = most;
+  facts.at_ceiling = static_cast<double>(at) / static_cast<double>(lit);
+}
+
 /// One look at a photograph: its faults, and itself in small.
 PhotoFacts lookAtPhoto(const Capture& capture, const CaptureView& view, const Photo& photo, int step,
                        SmallPhoto& small) {
@@ -109,30 +116,35 @@ PhotoFacts lookAtPhoto(const Capture& capture, const CaptureView& view, const Ph
     facts.pixels = static_cast<std::size_t>(p.width()) * p.height();
     small = {(p.width() + step - 1) / step, (p.height() + step - 1) / step, step, {}};
     small.luminance.assign(static_cast<std::size_t>(small.width) * small.height, 0);
-    ImageF brightest(p.width(), p.height(), 1);
-    std::vector<float> sums(static_cast<std::size_t>(p.width()));
+    // Row by row while it is in the cache: the sums of the rows of a block, and how many pixels are as bright as any.
+    const auto width = static_cast<std::size_t>(p.width());
+    std::vector<float> sums(width), tops(width), rows(width, 0.f);
+    std::int32_t most_bits = 0;
+    std::size_t at_most = 0;
     for (int y = 0; y < p.height(); ++y) {
-      sumColours(p.row(y), p.width(), p.channels(), sums.data(), brightest.row(y), facts);
+      sumColours(p.row(y), p.width(), p.channels(), sums.data(), tops.data(), facts);
+      for (std::size_t x = 0; x < width; ++x) rows[x] += sums[x];
+      std::int32_t top = 0;
+      for (const float v : tops) top = std::max(top, bitsOf(v));
+      if (top > most_bits) most_bits = top, at_most = 0;
+      if (top == most_bits)
+        at_most += static_cast<std::size_t>(std::count(tops.begin(), tops.end(), std::bit_cast<float>(top)));
+      if (!image.is_float)
+        facts.clipped +=
+            static_cast<std::size_t>(std::count_if(tops.begin(), tops.end(), [](float v) { return v >= 1; }));
+      if ((y + 1) % step != 0 && y + 1 < p.height()) continue;
       float* block = small.luminance.data() + static_cast<std::size_t>(y / step) * small.width;
-      for (int x0 = 0; x0 < p.width(); x0 += step, ++block) {
-        float sum = *block;
-        for (int x = x0; x < std::min(x0 + step, p.width()); ++x) sum += sums[static_cast<std::size_t>(x)];
-        *block = sum;
-      }
+      for (int x0 = 0; x0 < p.width(); x0 += step, ++block)
+        for (int x = x0; x < std::min(x0 + step, p.width()); ++x) *block += rows[static_cast<std::size_t>(x)];
+      std::fill(rows.begin(), rows.end(), 0.f);
     }
-    std::int32_t top = 0;
-    for (const float v : brightest.data()) top = std::max(top, bitsOf(v));
-    const float most = std::bit_cast<float>(top);
+    const float most = std::bit_cast<float>(most_bits);
     for (int y = 0; y < small.height; ++y)
       for (int x = 0; x < small.width; ++x)
         small.luminance[static_cast<std::size_t>(y) * small.width + x] /=
             static_cast<float>(colours * std::min(step, p.width() - x * step) * std::min(step, p.height() - y * step));
     facts.black = !(most > 0);
-    if (!image.is_float)
-      facts.clipped = static_cast<std::size_t>(
-          std::count_if(brightest.data().begin(), brightest.data().end(), [](float v) { return v >= 1; }));
-    else if (most > 0)
-      findCeiling(brightest, most, facts);
+    if (image.is_float && most > 0 && at_most >= kFewestAtCeiling) findCeiling(p, most, facts);
     if (!facts.fault.empty()) small = {};
   } catch (const Error& e) {
     if (e.kind() == ErrorKind::interrupted) throw;
@@ -249,7 +261,7 @@ AllPhotos checkPhotos(const Capture& capture, const CheckOptions& options, Check
     for (std::size_t p = 0; p < view.photos.size(); ++p) all.emplace_back(v, p);
   }
   const int step = smallStep(capture, all.size(), options.memory);
-  // Four channels of floats, as many again in the decoder, and the brightest channel.
+  // Four channels of floats, what the decoder holds, and where values stop short the brightest channel.
   constexpr double kBytesOfPixel = 36;
   const double at_once = std::floor(0.5 * static_cast<double>(options.memory) / (kBytesOfPixel * pixels));
   std::counting_semaphore<1024> places(static_cast<std::ptrdiff_t>(std::clamp(at_once, 1.0, 1024.0)));

@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <opencv2/imgproc.hpp>
 
 #include "base/error.h"
 #include "base/image_io.h"
 #include "base/parallel.h"
 #include "base/ray_scene.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
@@ -65,9 +65,7 @@ AcquisitionMesh hullOfOthers(const std::vector<SilhouetteView>& views, int overr
 }
 
 std::string percent(double share) {
-  char text[16];
-  std::snprintf(text, sizeof text, "%.1f %%", 100 * share);
-  return text;
+  return fixedNumber(100 * share, 1) + " %";
 }
 
 // The share of a mask up to which views differ from the hull as most of them do.

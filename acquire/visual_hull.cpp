@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <memory>
 
 #include "acquire/signed_silhouette.h"
@@ -10,6 +9,7 @@
 #include "base/error.h"
 #include "base/numeric.h"
 #include "base/parallel.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
@@ -28,9 +28,7 @@ constexpr double kDust = 1e-6;             // of the volume
 constexpr int kSmoothing = 10;             // Taubin steps for the normals
 
 std::string percent(double share) {
-  char text[16];
-  std::snprintf(text, sizeof text, "%.1f %%", 100 * share);
-  return text;
+  return fixedNumber(100 * share, 1) + " %";
 }
 
 // A view with what carving needs of it.

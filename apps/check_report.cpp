@@ -90,6 +90,13 @@ std::string perView(const CheckReport& report) {
   return out;
 }
 
+std::string drawing(const CheckReport& report) {
+  return report.drawing.empty() ? ""
+                                : "<h2>Cameras and lights</h2>\n" + report.drawing +
+                                      "<p class=\"note\">As the capture's files tell them, before anything is "
+                                      "mended.</p>\n";
+}
+
 std::string coverage(const CheckReport& report) {
   html::HemisphereMap map;
   for (const Vec3& d : report.light_directions) map.add(d, true);
@@ -106,7 +113,8 @@ std::string checkPage(const std::string& capture, const CheckReport& report) {
          ": check</title><style>" + html::kStyle + kVerdictStyle + "</style></head><body>\n<h1>" + escaped(capture) +
          "</h1>\n<p class=\"note\">srf " + projectVersion() +
          format(": %zu faults, %zu warnings</p>\n", report.count(Verdict::fault), report.count(Verdict::warning)) +
-         verdicts(report) + pictures(report) + perView(report) + coverage(report) + "</body></html>\n";
+         verdicts(report) + pictures(report) + drawing(report) + perView(report) + coverage(report) +
+         "</body></html>\n";
 }
 
 }  // namespace srf

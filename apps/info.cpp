@@ -4,12 +4,16 @@
 #include <cmath>
 #include <cstdio>
 #include <limits>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "acquire/camera_import.h"
+#include "acquire/capture_drawing.h"
 #include "apps/fit_pictures.h"
 #include "apps/program.h"
+#include "base/error.h"
+#include "base/files.h"
 #include "base/image_io.h"
 #include "base/mesh_io.h"
 #include "base/text.h"
@@ -155,7 +159,15 @@ Json srfInfo(const fs::path& folder, const fs::path& pictures) {
   return info;
 }
 
-Json captureInfo(const Capture& capture) {
+/// What is asked for besides the words.
+struct Wanted {
+  fs::path pictures;  ///< folder for those of a field's fit; empty: none
+  fs::path drawing;   ///< file for that of a capture; empty: none
+  CameraAxes axes = CameraAxes::opencv;
+};
+
+Json captureInfo(const Capture& capture, const Wanted& wanted) {
+  if (!wanted.drawing.empty()) writeTextFile(wanted.drawing, captureDrawing(capture, wanted.axes));
   Json info;
   info["type"] = "capture";
   info["units"] = capture.units;
@@ -254,18 +266,21 @@ Json imageInfo(const fs::path& file) {
   return info;
 }
 
-Json describe(const fs::path& path, const fs::path& pictures, Reporter& reporter) {
+Json describe(const fs::path& path, const Wanted& wanted, Reporter& reporter) {
   if (!fs::exists(path)) throw badInput(path.string(), "does not exist; check the path");
-  if (fs::is_directory(path)) {
-    if (fs::exists(path / "manifest.json")) return srfInfo(path, pictures);
-    return captureInfo(openCapture(path, reporter));
-  }
+  if (fs::is_directory(path) && !fs::exists(path / "manifest.json"))
+    return captureInfo(openCapture(path, reporter), wanted);
   const std::string suffix = path.extension().string();
   if (suffix == ".json") {
     const JsonNode root = readJsonFile(path);
     const auto frames = root.find("frames");
-    return frames && frames->isArray() ? captureInfo(readCapture(path)) : sceneInfo(path, reporter);
+    if (frames && frames->isArray()) return captureInfo(readCapture(path), wanted);
   }
+  if (!wanted.drawing.empty())
+    throw Error(ErrorKind::usage, path.string() + " is no capture; a drawing is made of its cameras and lights",
+                "--drawing");
+  if (fs::is_directory(path)) return srfInfo(path, wanted.pictures);
+  if (suffix == ".json") return sceneInfo(path, reporter);
   if (suffix == ".ply" || suffix == ".obj") {
     Json info = {{"type", "mesh"}};
     info.update(meshInfo(readMesh(path)));
@@ -313,15 +328,24 @@ void print(const Json& info, int indent) {
 int main(int argc, char** argv) {
   srf::Program program("info",
                        "Says what a file or folder holds: a field (X.srf), a capture, a scene, a picture, a mesh.");
-  std::string path, pictures;
+  std::string path;
+  srf::Wanted wanted;
   bool as_json = false;
   program.app().add_option("path", path, "file or folder")->required();
   program.app().add_flag("--json", as_json, "print JSON");
-  program.app().add_option("--pictures", pictures,
+  program.app().add_option("--pictures", wanted.pictures,
                            "of a field: folder for pictures of the fitted reflectance model (gate, roughness, normal, "
                            "base_color ..) from the first camera");
+  CLI::Option* drawing = program.app().add_option(
+      "--drawing", wanted.drawing, "of a capture: SVG file for a drawing of its cameras, lights and box");
+  program.app()
+      .add_option("--camera-axes", wanted.axes, "that the drawing shows: opencv (y down, z forward) or opengl")
+      ->transform(CLI::CheckedTransformer(std::map<std::string, srf::CameraAxes>{{"opencv", srf::CameraAxes::opencv},
+                                                                                 {"opengl", srf::CameraAxes::opengl}}))
+      ->default_str("opencv")
+      ->needs(drawing);
   return program.run(argc, argv, [&](srf::Reporter& reporter) {
-    const srf::Json info = srf::describe(path, pictures, reporter);
+    const srf::Json info = srf::describe(path, wanted, reporter);
     if (as_json)
       std::printf("%s\n", info.dump(1, ' ', false, srf::Json::error_handler_t::replace).c_str());
     else

@@ -1,16 +1,18 @@
 // How well a real one-light capture predicts photographs it was not given: every n-th view is left out, the rest goes
 // the whole way, and each left-out view is rendered and compared with its photograph inside its silhouette; beside it,
 // on the same hull, the nearest visible photograph alone and the plain average of the four nearest. Prints rows of
-// Markdown.
+// Markdown; with --sheet a picture as well: photographs above what was rendered.
 #include <unistd.h>
 
 #include <cstdio>
 
 #include "acquire/acquire_field.h"
 #include "acquire/camera_import.h"
+#include "apps/contact_sheet.h"
 #include "apps/holdout.h"
 #include "apps/make_model.h"
 #include "apps/program.h"
+#include "base/image_io.h"
 #include "base/numeric.h"
 #include "render/frame_renderer.h"
 
@@ -30,6 +32,33 @@ Vec3 bilinear(const ImageF& image, const Vec2& pixel) {
     value[c] = lerp(lerp(image.at(ix, iy, c), image.at(ix + 1, iy, c), x - ix),
                     lerp(image.at(ix, iy + 1, c), image.at(ix + 1, iy + 1, c), x - ix), y - iy);
   return value;
+}
+
+// A square about the silhouette, premultiplied by it, of one size for all.
+ImageF aroundSilhouette(const ImageF& image, const ImageF& inside) {
+  constexpr int kSide = 240;
+  int left = inside.width(), right = 0, top = inside.height(), bottom = 0;
+  for (int y = 0; y < inside.height(); ++y)
+    for (int x = 0; x < inside.width(); ++x)
+      if (inside.at(x, y) > 0) {
+        left = std::min(left, x), right = std::max(right, x + 1);
+        top = std::min(top, y), bottom = std::max(bottom, y + 1);
+      }
+  const double side = 1.05 * std::max(right - left, bottom - top);
+  ImageF out(kSide, kSide, 4);
+  constexpr int kTaps = 4;  // a pixel's mean is taken of kTaps x kTaps places
+  for (int y = 0; y < kSide; ++y)
+    for (int x = 0; x < kSide; ++x)
+      for (int tap = 0; tap < kTaps * kTaps; ++tap) {
+        const int u = static_cast<int>(
+            std::floor(0.5 * (left + right) + side * ((x + (tap % kTaps + 0.5) / kTaps) / kSide - 0.5)));
+        const int v = static_cast<int>(
+            std::floor(0.5 * (top + bottom) + side * ((y + (tap / kTaps + 0.5) / kTaps) / kSide - 0.5)));
+        if (u < 0 || v < 0 || u >= inside.width() || v >= inside.height() || !(inside.at(u, v) > 0)) continue;
+        for (int c = 0; c < 3; ++c) out.at(x, y, c) += image.at(u, v, c) / (kTaps * kTaps);
+        out.at(x, y, 3) += 1.f / (kTaps * kTaps);
+      }
+  return out;
 }
 
 // The mean of the `most` nearest photographs that see each hit, by angle alone.
@@ -68,13 +97,30 @@ int main(int argc, char** argv) {
   using namespace srf;
   Program program("holdout-benchmark", "predicts left-out views of a one-light capture",
                   "GPL-3.0-or-later (links CGAL)");
-  std::string folder;
+  std::string folder, sheet;
   int every = 4, tolerance = 0;
+  std::vector<double> bounds;
+  bool grab_cut = false;
   program.app().add_option("CAPTURE", folder, "a capture of one unknown illumination")->required();
   program.app().add_option("--every", every, "every n-th view is left out")->check(CLI::Range(2, 1000));
   program.app().add_option("--tolerance", tolerance, "views that may disagree at a point without carving it away");
+  program.app().add_option("--bounds", bounds, "as of srf acquire: x0,y0,z0,x1,y1,z1")->delimiter(',')->expected(6);
+  program.app().add_flag("--grabcut", grab_cut, "as of srf acquire; the masks of all views, also of those left out");
+  program.app().add_option("--sheet", sheet, "PNG: up to six photographs that were left out, below each what was made");
   return program.run(argc, argv, [&](Reporter& reporter) {
-    const Capture all = openCapture(folder, reporter);
+    Capture all = openCapture(folder, reporter);
+    if (!bounds.empty())
+      all.bounds = Box<AcquisitionSpace>{{bounds[0], bounds[1], bounds[2]}, {bounds[3], bounds[4], bounds[5]}};
+    const auto work = std::filesystem::temp_directory_path() / ("srf-holdout-" + std::to_string(::getpid()));
+    if (grab_cut) {
+      SilhouetteOptions options;
+      options.source = SilhouetteSource::grab_cut;
+      const auto cut = silhouettes(all, options, reporter);
+      for (std::size_t i = 0; i < cut.size(); ++i) {
+        all.views[i].mask_file = work / "masks" / (std::to_string(i) + ".png");
+        writePng(all.views[i].mask_file, cut[i].mask);
+      }
+    }
     Capture kept = all;
     kept.views.clear();
     std::vector<std::size_t> held_out;
@@ -87,7 +133,6 @@ int main(int argc, char** argv) {
         photographs.push_back(photograph(all, i));
       }
     }
-    const auto work = std::filesystem::temp_directory_path() / ("srf-holdout-" + std::to_string(::getpid()));
     const auto srf_folder = work / "x.srf";
     AcquireOptions options;
     options.memory_bytes = program.memoryBudget();
@@ -105,6 +150,9 @@ int main(int argc, char** argv) {
     // Of all views at once, as acquisition makes them: the threshold is steadier than one view's own.
     const std::vector<SilhouetteView> masks = silhouettes(all, options.silhouette, reporter);
     double sums[3] = {}, flips[3] = {};
+    std::vector<ImageF> taken, made;  // about the silhouettes
+    const std::size_t every_shown = (held_out.size() + 5) / 6;
+    std::size_t scored = 0;
     std::printf("| view | interpolated, dB / FLIP | nearest photograph | average of four |\n|---|---|---|---|\n");
     for (const std::size_t view : held_out) {
       const Camera<ObjectSpace> camera = atRest(all.views[view].camera);
@@ -123,6 +171,14 @@ int main(int argc, char** argv) {
         std::printf("| %.2f / %.3f ", figures.psnr, figures.flip);
       }
       std::printf("|\n");
+      std::fflush(stdout);
+      if (scored++ % every_shown != 0) continue;
+      taken.push_back(aroundSilhouette(truth, inside)), made.push_back(aroundSilhouette(frame.rgba, inside));
+    }
+    if (!sheet.empty()) {
+      const int columns = static_cast<int>(taken.size());
+      taken.insert(taken.end(), made.begin(), made.end());
+      writePng(sheet, contactSheet(taken, columns, 240, displayExposure(taken)));
     }
     std::printf("| mean | **%.2f / %.3f** | %.2f / %.3f | %.2f / %.3f |\n", sums[0], flips[0], sums[1], flips[1],
                 sums[2], flips[2]);
