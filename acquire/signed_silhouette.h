@@ -34,6 +34,8 @@ class SignedSilhouette {
     const double y_out = positive(std::max(inner_top_ - v, v - inner_bottom_));
     return std::max(std::hypot(over_x, over_y, inside), std::hypot(x_out, y_out) - 1);
   }
+  /// The same for `count` places, with the same bits.
+  void at(const double* x, const double* y, int count, double* distance) const;
   /// Whether the silhouette reaches the picture's edge: the object may go on outside.
   bool cropped() const { return cropped_; }
 

@@ -226,11 +226,20 @@ class SilhouetteField::Carver {
       const SignedSilhouette& silhouette = *field_.views_[index].silhouette;
       double x[Positions::kMost], y[Positions::kMost], unit[Positions::kMost], d[Positions::kMost];
       project(index, at, x, y, unit);
-      for (int i = 0; i < n; ++i) {
-        const bool sees = unit[i] > 0 && x[i] >= 0 && y[i] >= 0 && x[i] <= view.width && y[i] <= view.height;
-        d[i] = sees ? silhouette.at(x[i], y[i]) * unit[i] : -kDeep * lattice_.cell;
-        unseen[i] += !sees;
-        unseen_whole[i] += !sees && view.whole;
+      const double width = view.width, height = view.height;
+      int blind = 0;
+      for (int i = 0; i < n; ++i)
+        blind += !((unit[i] > 0) & (x[i] >= 0) & (y[i] >= 0) & (x[i] <= width) & (y[i] <= height));
+      if (blind == 0) {
+        silhouette.at(x, y, n, d);
+        for (int i = 0; i < n; ++i) d[i] *= unit[i];
+      } else {
+        for (int i = 0; i < n; ++i) {
+          const bool sees = unit[i] > 0 && x[i] >= 0 && y[i] >= 0 && x[i] <= width && y[i] <= height;
+          d[i] = sees ? silhouette.at(x[i], y[i]) * unit[i] : -kDeep * lattice_.cell;
+          unseen[i] += !sees;
+          unseen_whole[i] += !sees && view.whole;
+        }
       }
       for (int k = 0; k < kept; ++k)
         for (int i = 0; i < n; ++i) {

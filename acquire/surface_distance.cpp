@@ -38,7 +38,8 @@ std::vector<double> distancesTo(const AcquisitionMesh& mesh, std::span<const Poi
   return out;
 }
 
-std::vector<Point<AcquisitionSpace>> pointsOn(const AcquisitionMesh& mesh, std::size_t count) {
+std::vector<Point<AcquisitionSpace>> pointsOn(const AcquisitionMesh& mesh, std::size_t count,
+                                              std::vector<std::uint32_t>* triangles) {
   std::vector<Point<AcquisitionSpace>> points;
   const double area = meshArea(mesh), each = area / static_cast<double>(std::max<std::size_t>(1, count));
   double left = 0.5 * each;  // until the next point
@@ -52,6 +53,7 @@ std::vector<Point<AcquisitionSpace>> pointsOn(const AcquisitionMesh& mesh, std::
       u = std::fmod(u + 0.7548776662466927, 1.0), v = std::fmod(v + 0.5698402909980532, 1.0);
       const double s = u + v > 1 ? 1 - u : u, w = u + v > 1 ? 1 - v : v;
       points.push_back(a + s * (b - a) + w * (c - a));
+      if (triangles) triangles->push_back(static_cast<std::uint32_t>(&t - mesh.triangles.data()));
     }
     left -= here;
   }

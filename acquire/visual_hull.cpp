@@ -4,6 +4,7 @@
 #include <cmath>
 #include <memory>
 
+#include "acquire/mesh_coverage.h"
 #include "acquire/signed_silhouette.h"
 #include "acquire/silhouette_field.h"
 #include "base/error.h"
@@ -188,64 +189,21 @@ Box3 tightBounds(const HullViews& views, int tolerance, const std::optional<Box3
   }
 }
 
-// Which samples of a picture the mesh covers: those at pixels step / 2, step / 2 + 1 step, .. along both sides.
-std::vector<std::uint8_t> coveredSamples(const AcquisitionMesh& mesh, const Camera<AcquisitionSpace>& camera, int step,
-                                         int columns, int rows) {
-  struct Place {
-    float x, y;  // in samples; NaN where the camera does not see it
-  };
-  // The first sample at or after a place, 0 to the number of samples: most triangles of a fine hull lie between two
-  // columns or two rows, which their corners' samples tell at once.
-  struct Sample {
-    std::uint16_t x, y;
-  };
-  std::vector<Place> places(mesh.positions.size(), {NAN, NAN});
-  std::vector<Sample> samples(mesh.positions.size(), {0, 0});
-  const double origin = step / 2 + 0.5, scale = 1.0 / step;
-  const auto from = [](float x, int count) {
-    return static_cast<std::uint16_t>(std::ceil(std::clamp(x, 0.f, float(count))));
-  };
-  for (std::size_t v = 0; v < places.size(); ++v) {
-    const auto seen = camera.project(mesh.positions[v]);
-    if (!seen) continue;
-    const Place p{static_cast<float>((seen->pixel.x - origin) * scale),
-                  static_cast<float>((seen->pixel.y - origin) * scale)};
-    places[v] = p, samples[v] = {from(p.x, columns), from(p.y, rows)};
-  }
-  std::vector<std::uint8_t> covered(static_cast<std::size_t>(columns) * rows, 0);
-  for (const Triangle& t : mesh.triangles) {
-    const Sample i = samples[t[0]], j = samples[t[1]], k = samples[t[2]];
-    if (((i.x ^ j.x) | (i.x ^ k.x)) == 0 || ((i.y ^ j.y) | (i.y ^ k.y)) == 0) continue;
-    const Place a = places[t[0]], b = places[t[1]], c = places[t[2]];
-    const int right = std::max({i.x, j.x, k.x}), bottom = std::max({i.y, j.y, k.y});
-    for (int y = std::min({i.y, j.y, k.y}); y < bottom; ++y)
-      for (int x = std::min({i.x, j.x, k.x}); x < right; ++x) {
-        const auto side = [&](const Place& p, const Place& q) {
-          return (double(q.x) - p.x) * (y - double(p.y)) - (double(q.y) - p.y) * (x - double(p.x));
-        };
-        const double ab = side(a, b), bc = side(b, c), ca = side(c, a);
-        if ((ab >= 0 && bc >= 0 && ca >= 0) || (ab <= 0 && bc <= 0 && ca <= 0))
-          covered[static_cast<std::size_t>(y) * columns + x] = 1;
-      }
-  }
-  return covered;
-}
-
 // IoU and coverage from about `samples` pixels along a picture's longer side.
 std::vector<ViewConsistency> compare(const AcquisitionMesh& mesh, const std::vector<const SilhouetteView*>& views,
                                      int samples) {
   std::vector<ViewConsistency> result(views.size());
-  parallelFor(views.size(), 1, [&](std::size_t i, std::size_t) {
+  std::vector<SampledPicture> pictures;
+  for (const SilhouetteView* view : views) pictures.push_back(SampledPicture::of(view->camera, samples));
+  const auto covered = coveredSamples(mesh, pictures);
+  for (std::size_t i = 0; i < views.size(); ++i) {
     const Image8& mask = views[i]->mask;
-    const int step = std::max(1, std::max(mask.width(), mask.height()) / samples);
-    const int columns = (mask.width() - step / 2 + step - 1) / step,
-              rows = (mask.height() - step / 2 + step - 1) / step;
-    const auto covered = coveredSamples(mesh, views[i]->camera, step, columns, rows);
+    const SampledPicture& picture = pictures[i];
     std::size_t both = 0, either = 0, inside = 0;
-    for (int y = 0; y < rows; ++y)
-      for (int x = 0; x < columns; ++x) {
-        const bool object = mask.at(step / 2 + x * step, step / 2 + y * step) >= 128;
-        const bool hit = covered[static_cast<std::size_t>(y) * columns + x];
+    for (int y = 0; y < picture.rows; ++y)
+      for (int x = 0; x < picture.columns; ++x) {
+        const bool object = mask.at(picture.pixel(x), picture.pixel(y)) >= 128;
+        const bool hit = covered[i][static_cast<std::size_t>(y) * picture.columns + x];
         both += object && hit;
         either += object || hit;
         inside += object;
@@ -253,7 +211,7 @@ std::vector<ViewConsistency> compare(const AcquisitionMesh& mesh, const std::vec
     result[i].name = views[i]->name;
     result[i].iou = either ? double(both) / double(either) : 0;
     result[i].covered = inside ? double(both) / double(inside) : 0;
-  });
+  }
   return result;
 }
 
