@@ -76,7 +76,9 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   std::vector<std::size_t> met;
   for (std::size_t i = 0; i < hits.size(); ++i)
     if (hits[i].count > 0) met.push_back(i);
-  std::vector<LookUp> look_ups(met.size());
+  thread_local std::vector<LookUp> look_up_memory;  // likewise
+  if (look_up_memory.size() < met.size()) look_up_memory.resize(met.size());
+  const std::span<LookUp> look_ups(look_up_memory.data(), met.size());
   lookUp(hits, met, settings.accuracy.frame, look_ups);  // M11
   for (const LookUp& look_up : look_ups) out.collapsed += look_up.collapsed;
   lap(kLookUp);
@@ -174,7 +176,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     point.normal = look_up.acquisition_from_object.inverse() * look_up.normal;
   };
   if (!guided && !plan.cast) {
-    std::vector<LitPoint> points(met.size());
+    thread_local std::vector<LitPoint> points;
+    if (points.size() < met.size()) points.resize(met.size());
     for (std::size_t m = 0; m < met.size(); ++m) light(m, points[m]);
     plan.lighting.gather(points, wanted, out.shading.lights);  // M13, M14
   } else {

@@ -183,7 +183,8 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   lap("weights");
 
   // Double sums: with many samples a float would lose digits.
-  std::vector<std::array<double, 4>> sums(static_cast<std::size_t>(width) * height);
+  std::vector<std::array<double, 4>>& sums = s.sums;
+  sums.assign(static_cast<std::size_t>(width) * height, {});
   Layers layers(s.settings.layers, s.settings.accuracy.views, width, height);
   const int blocks = pixelBlocks(camera);
   // Gathered in groups until the budget is full; a group is small against it, and large enough for the threads.

@@ -1,6 +1,7 @@
 #include "render/light_weights.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "base/parallel.h"
 
@@ -235,12 +236,28 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
   memory.irradiance.resize(lights * stride);
   for (std::size_t l = 0; l < lights; ++l) {
     float *const x = lane, *const y = lane + stride, *const z = lane + 2 * stride;
+    const NearLight& light = lights_.near_lights[l];
+    const auto red = static_cast<float>(light.intensity.x), green = static_cast<float>(light.intensity.y),
+               blue = static_cast<float>(light.intensity.z);
     for (std::size_t i = 0; i < count; ++i) {
-      const auto [direction, irradiance] = nearLightAt(lights_.near_lights[l], points[wanted[i].point]);
+      const LitPoint& point = points[wanted[i].point];
+      const Vec3 to_light = (light.position - point.p_star).raw();
+      const double squared = dot(to_light, to_light);
+      Rgb& e = memory.irradiance[l * stride + i];
+      if (squared > 1e-250 && squared < 1e250) {  // nearLightAt, where no length needs care
+        const double distance = std::sqrt(squared), inverse = 1 / distance;
+        const Vec3 d = point.acquisition_from_object.raw() * to_light;
+        x[i] = static_cast<float>(d.x * inverse), y[i] = static_cast<float>(d.y * inverse);
+        z[i] = static_cast<float>(d.z * inverse);
+        const double attenuated = std::max(distance, options_.min_distance);
+        const auto falloff = static_cast<float>(1 / (attenuated * attenuated));
+        e[0] = red * falloff, e[1] = green * falloff, e[2] = blue * falloff;
+        continue;
+      }
+      const auto [direction, irradiance] = nearLightAt(light, point);
       const Vec3& d = direction.raw();
       x[i] = static_cast<float>(d.x), y[i] = static_cast<float>(d.y), z[i] = static_cast<float>(d.z);
-      memory.irradiance[l * stride + i] = {static_cast<float>(irradiance.x), static_cast<float>(irradiance.y),
-                                           static_cast<float>(irradiance.z)};
+      e = {static_cast<float>(irradiance.x), static_cast<float>(irradiance.y), static_cast<float>(irradiance.z)};
     }
     for (std::size_t i = count; i < stride; ++i) x[i] = y[i] = 0, z[i] = 1;
     lightCells(x, y, z, count, cells.resolution, memory.cell.data());

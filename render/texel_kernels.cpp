@@ -117,13 +117,20 @@ void sum(const float* tables, const ProductSum* sums, std::size_t count) {
         const float* row = at + static_cast<std::size_t>(one.slot[i]) * kProductTable + p * kWide;
         return hn::MulAdd(t23, hn::LoadU(two, row + kBelow), hn::Mul(t01, hn::LoadU(two, row)));
       };
+      // Three sums side by side: of the first terms, and of every other one of the rest.
+      hn::Vec<decltype(two)> of_entries[2] = {hn::Zero(two), hn::Zero(two)};
       total[p] = hn::Zero(two);
-      for (int i = 0; i < one.share_count; ++i) total[p] = hn::MulAdd(hn::Set(two, one.shares[i]), term(i), total[p]);
-      for (int i = 0; i < one.entry_count; ++i) {
+      const int shares = one.share_count, entries = one.entry_count;
+      for (int i = 0; i < shares; ++i) total[p] = hn::MulAdd(hn::Set(two, one.shares[i]), term(i), total[p]);
+      const auto entry = [&](int i) {
         // light, r, g, b to r, g, b, 0
-        const auto entry = hn::LoadDup128(two, reinterpret_cast<const float*>(one.entries + i));
-        total[p] = hn::MulAdd(hn::ShiftRightLanes<1>(two, entry), term(one.share_count + i), total[p]);
-      }
+        const auto of = hn::LoadDup128(two, reinterpret_cast<const float*>(one.entries + i));
+        of_entries[i % 2] = hn::MulAdd(hn::ShiftRightLanes<1>(two, of), term(shares + i), of_entries[i % 2]);
+      };
+      int i = 0;
+      for (; i + 2 <= entries; i += 2) entry(i), entry(i + 1);
+      if (i < entries) entry(i);
+      total[p] = hn::Add(total[p], hn::Add(of_entries[0], of_entries[1]));
     }
     auto sum = halves(two, total);
     if (one.continues) {

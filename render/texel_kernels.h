@@ -40,7 +40,8 @@ struct ProductSum {
   bool continues;  ///< the result holds `own`; else that is 0
   Rgb* result;
 };
-/// Taps in 8 lanes, two texels beside one another; terms in their order; then the halves, then `own`.
+/// Taps in 8 lanes, two texels beside one another; the terms of shares, of even and of odd entries, each in their
+/// order, then their sums; then the halves, then `own`.
 void sumProducts(const float* tables, const ProductSum* sums, std::size_t count);
 
 }  // namespace srf
