@@ -384,7 +384,8 @@ Json description(const SyntheticCaptureOptions& o) {
   json["fov"] = o.vfov, json["distance"] = o.distance;
   json["noise"] = o.noise, json["exposure"] = o.exposure, json["saturate"] = o.saturation,
   json["mask_error"] = o.mask_error, json["seed"] = o.seed;
-  json["range_views"] = o.range_views, json["range_noise"] = o.range_noise, json["range_outliers"] = o.range_outliers;
+  json["mesh_cells"] = o.mesh_cells, json["range_views"] = o.range_views, json["range_noise"] = o.range_noise,
+  json["range_outliers"] = o.range_outliers;
   return json;
 }
 
@@ -516,6 +517,7 @@ void SyntheticCaptureOptions::validate() const {
   require("mask-error", mask_error, 0, 100);
   require("missing", missing, 0, 1);
   require("range-views", range_views, 0, 999);
+  require("mesh-cells", mesh_cells, 16, 512);
   require("range-noise", range_noise, 0, 1);
   require("range-outliers", range_outliers, 0, 0.9);
   const std::string fault = SyntheticObject::faultOf(shape, material, interreflection);
@@ -541,7 +543,7 @@ void writeSyntheticCapture(const SyntheticCaptureOptions& options, const fs::pat
       writeView(options, photographer, capture, v, reporter, stage);
     }
   }
-  writePly(part.path() / "model.ply", mesh);
+  writePly(part.path() / "model.ply", options.mesh_cells == kMeshCells ? mesh : object.tessellate(options.mesh_cells));
   if (options.range_views > 0) {
     std::error_code code;
     fs::create_directory(part.path() / "ranges", code);

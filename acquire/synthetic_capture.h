@@ -39,6 +39,7 @@ struct SyntheticCaptureOptions {
   int range_views = 0;    ///< range views of a laser scanner, besides the photographs; 0: none
   double range_noise = 0.005;  ///< units, standard deviation along the beam
   double range_outliers = 0;   ///< share of the points that lie anywhere along their beam
+  int mesh_cells = 128;        ///< of model.ply, along the longest side: 128 makes some 200,000 triangles, 48 an eighth
   std::uint64_t seed = 1;      ///< of noise, gain, mask errors and missing photographs
 
   /// Throws a usage error that lists every value out of its range.

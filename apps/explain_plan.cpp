@@ -167,6 +167,7 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       scene.shadows == Shadows::both                 ? "/effects/shadows is \"both\", which is plain alone"
       : scene.interpolation == Interpolation::plain  ? "/interpolation is \"plain\""
       : scene.interpolation == Interpolation::guided ? "/interpolation is \"guided\""
+      : scene.interpolation == Interpolation::model  ? "/interpolation is \"model\": no photographs"
       : guided                                       ? "the model holds a fit"
                                                      : "the model holds no fit",
       "", guided ? shortNumber(counted("model_values")) + " values of the fitted model" : "");

@@ -156,6 +156,7 @@ int run(int argc, char** argv) {
       app.add_option("--saturate", capture.saturation, "most radiance that a photograph holds; 0: no bound"),
       app.add_option("--missing", capture.missing, "share of the photographs left out at random, e.g. 0.2"),
       app.add_option("--mask-error", capture.mask_error, "error of the masks, pixels"),
+      app.add_option("--mesh-cells", capture.mesh_cells, "cells of model.ply along the object's longest side"),
       app.add_option("--range-views", capture.range_views, "range views of a laser scanner besides the photographs"),
       app.add_option("--range-noise", capture.range_noise, "of range views: units along the beam, standard deviation"),
       app.add_option("--range-outliers", capture.range_outliers, "of range views: share of stray points, e.g. 0.05"),

@@ -31,7 +31,8 @@ constexpr double kFresnelShare = 0.95;       // of the points have no larger kf 
 constexpr float kFresnelSpread = 2;          // ... over this
 // Of plain's squared error under one light, and of its mean over the lights: more than both together is harm.
 constexpr double kHarm = 1.1, kSlack = 0.05;
-constexpr int kRounds = 3;  // of robust weights
+constexpr int kDoubtedLights = 2;  // more in shadow, so that one alone tells little
+constexpr int kRounds = 3;         // of robust weights
 constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
 
 struct Roughness {
@@ -396,11 +397,13 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
           return part.lit > 0 ? static_cast<float>(smoothstep(0, 0.1, 1 - std::sqrt(part.indirect / part.lit))) : 0.f;
         };
         fitted.indirect = all_lights(e.all.light.in_light);
-        // Indirect light is in most shadows; what is in a few is the outline of a shadow that a pixel has blurred.
-        fitted.indirect_shadow =
-            all_lights(e.all.light.in_shadow) *
-            static_cast<float>(smoothstep(
-                0.2, 0.4, e.in_shadow.for_indirect / std::max(1.0, static_cast<double>(e.in_shadow.lights))));
+        // Indirect light is in most shadows of one kind, those that fall on the point or the surface's own; what is in
+        // a few is the outline of a shadow that a pixel has blurred.
+        const auto share = [](const HoldoutError::Count& count) {
+          return count.for_indirect / static_cast<double>(count.lights + kDoubtedLights);
+        };
+        fitted.indirect_shadow = all_lights(e.all.light.in_shadow) *
+                                 static_cast<float>(smoothstep(0.2, 0.4, std::max(share(e.hidden), share(e.averted))));
         // Never worse than plain: 1 where guidance helps by 10 %, 0 where it harms by 5 %; under a captured light,
         // where both return the photographs of a matt surface, 1 where it does not harm.
         const auto gate = [&](const HoldoutError::Case& of, double open) {

@@ -190,9 +190,8 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       note(cases.light, by_light);
       cases.beside.plain = kBesideError * by_light.plain;
       cases.beside.in_shadow.lit = (1 - lights.lit[i]) * square;
-      const bool is_lit = visible > 0.5f;
-      HoldoutError::Count& count = is_lit ? error.in_light : error.in_shadow;
-      if (is_lit || lights.cosine[i] < kSurelyAverted || lights.cosine[i] > 0) {
+      if (!(visible > 0.5f) && (lights.cosine[i] < kSurelyAverted || lights.cosine[i] > 0)) {
+        HoldoutError::Count& count = lights.cosine[i] > 0 ? error.hidden : error.averted;
         ++count.lights;
         count.for_indirect += by_light.indirect < kMuchBetter * by_light.lit;
       }

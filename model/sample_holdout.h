@@ -40,12 +40,13 @@ struct HoldoutError {
   Cases all;
   std::vector<std::pair<LightId, Cases>> by_light;
   double square = 0;  ///< of the samples
-  /// Lights left out that light the point (or do not), and those of them that the residual of all lights foretells much
+  /// Lights left out that do not light the point, and those of them that the residual of all lights foretells much
   /// better.
   struct Count {
     int lights = 0, for_indirect = 0;
   };
-  Count in_light, in_shadow;
+  Count hidden;   ///< lights that the surface faces
+  Count averted;  ///< lights well behind it: a bowl may hide indirect light from these alone
 };
 
 class SampleHoldout {

@@ -156,10 +156,10 @@ std::optional<ReflectanceFit> guidingFit(const Scene& scene, const fs::path& srf
                                          const DeformableModel& model) {
   if (scene.interpolation == Interpolation::plain) return std::nullopt;
   std::optional<ReflectanceFit> fit = loadFit(srf, manifest, model);
-  if (!fit && scene.interpolation == Interpolation::guided)
-    throw badInput(
-        scene.file.string() + ": /interpolation",
-        "found \"guided\", yet the model of " + srf.string() + " holds no fit; run srf model again, or use \"plain\"");
+  if (!fit && scene.interpolation != Interpolation::automatic)
+    throw badInput(scene.file.string() + ": /interpolation",
+                   std::string("found \"") + (scene.interpolation == Interpolation::model ? "model" : "guided") +
+                       "\", yet the model of " + srf.string() + " holds no fit; run srf model again, or use \"plain\"");
   if (scene.shadows == Shadows::both) return std::nullopt;  // plain alone has the photographs' own shadows to add to
   return fit;
 }
@@ -168,6 +168,7 @@ FrameSettings frameSettings(const Scene& scene, const std::optional<ReflectanceF
   FrameSettings settings;
   settings.accuracy = scene.accuracy;
   settings.fit = fit ? &*fit : nullptr;
+  settings.model_alone = scene.interpolation == Interpolation::model;
   settings.shadows = scene.shadows;
   if (scene.shadows == Shadows::automatic)
     settings.shadows = !fit || scene.deformation.none() ? Shadows::captured : Shadows::deformed;

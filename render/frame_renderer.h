@@ -35,7 +35,7 @@ struct FrameSettings {
   const ReflectanceFit* fit = nullptr;  ///< guides the interpolation; none: plain. Must outlive the renderer
   Shadows shadows = Shadows::captured;
   bool matte = false;        ///< alpha from the coverage of the photographs' masks
-  bool model_alone = false;  ///< what the fit would show without the photographs: for studies
+  bool model_alone = false;  ///< what the fit shows without the photographs
   /// Per pixel, a regular or stratified pattern (deterministic); more where surfels are smaller than a pixel, up to 64.
   int samples = 1;
   std::set<std::string> layers;  ///< groups asked for; others cost nothing

@@ -131,6 +131,7 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
       for (int k = 0; k < kModelTerms; ++k) to.coefficient[k][c] += w * from.coefficient[k][c];
     }
   }
+  if (options_.model_alone) hit.gate = 1;
   const auto direction = [](const std::array<float, 3>& a) {
     return normalize(Vector<AcquisitionSpace>(Vec3{a[0], a[1], a[2]}));
   };
@@ -280,7 +281,7 @@ CapturedLanes GuidedLighting::readCaptured(std::uint32_t list_index, GuidedBlock
   block.gate.assign(lanes, 0);
   if (!options_.model_alone) share(fit_.worse, list_index, *hit.query.hit, block.gate);
   block.same_gate = std::all_of(block.gate.begin(), block.gate.end(), [](float worse) { return worse == 0; });
-  for (float& gate : block.gate) gate = gateOf(hit) * (1 - gate);
+  for (float& gate : block.gate) gate = hit.gate * (1 - gate);
   facingCaptured(hit.reflectance.normal, captured, lanes, block.lit.data(), block.usable.data(), block.facing.data());
   return captured;
 }
@@ -306,7 +307,7 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, st
     nearest = std::min(nearest, square(l[0] - x[i]) + square(l[1] - y[i]) + square(l[2] - z[i]));
   }
   if (!off && !(cosine > 0)) sight = kHidden;
-  if (block.same_gate) gate = gateOf(hit);
+  if (block.same_gate) gate = hit.gate;
   float visible = sight != kNotAsked ? static_cast<float>(sight) : facing > 0 ? lit_facing / facing : 1;
   if (disagree > 0 && !off) {
     visible *= 1 - disagree;
@@ -388,7 +389,7 @@ std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_
                   distant_lanes_, block.positions.data(), block.shown_energy.data(), count);
   block.model_values += count;
   if (block.same_gate)
-    for (float& channel : sum) channel *= gateOf(hit);
+    for (float& channel : sum) channel *= hit.gate;
   if (options_.model_alone) return sum;
 
   block.shown.assign(pad, 0);

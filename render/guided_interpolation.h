@@ -113,7 +113,6 @@ class GuidedLighting {
     bool in_order = false;  ///< light i of the list is column i of the bits
   };
   std::size_t row() const { return distant_lanes_ + near_lanes_; }
-  float gateOf(const GuidedBlock::Hit& hit) const { return options_.model_alone ? 1 : hit.gate; }
   void blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const;
   void castShadows(GuidedBlock& block) const;
   /// Fills what the captured lights of a list say of a hit, and returns where they stand.

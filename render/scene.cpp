@@ -133,7 +133,8 @@ void readEffects(const JsonNode& node, Scene& scene) {
   if (const auto shadows = node.find("shadows")) {
     constexpr Shadows kShadows[] = {Shadows::captured, Shadows::deformed, Shadows::both, Shadows::off};
     scene.shadows = kShadows[shadows->choice({"captured", "deformed", "both", "off"})];
-    if (scene.interpolation == Interpolation::guided && scene.shadows == Shadows::both)
+    if ((scene.interpolation == Interpolation::guided || scene.interpolation == Interpolation::model) &&
+        scene.shadows == Shadows::both)
       throw shadows->error(
           "found \"both\", which is for plain interpolation: guided interpolation tells the rest pose's shadows apart; "
           "use \"deformed\"");
@@ -195,8 +196,10 @@ Scene readScene(const std::filesystem::path& file, const std::vector<std::string
   if (const auto frames = root.find("frames")) scene.frames = readFrames(*frames);
   if (const auto fps = root.find("fps")) scene.fps = numberWithin(*fps, 1e-3, 1e4);
   if (const auto output = root.find("output")) scene.output = output->string();
-  if (const auto way = root.find("interpolation"))
-    scene.interpolation = way->choice({"plain", "guided"}) == 0 ? Interpolation::plain : Interpolation::guided;
+  if (const auto way = root.find("interpolation")) {
+    constexpr Interpolation kWays[] = {Interpolation::plain, Interpolation::guided, Interpolation::model};
+    scene.interpolation = kWays[way->choice({"plain", "guided", "model"})];
+  }
   if (const auto samples = root.find("samples")) scene.samples = static_cast<int>(samples->integer(1, 1024));
   if (const auto effects = root.find("effects")) readEffects(*effects, scene);
   if (const auto accuracy = root.find("accuracy")) scene.accuracy = readAccuracy(*accuracy);

@@ -46,7 +46,8 @@ using SceneLight = std::variant<PointLight, DirectionalLight, EnvironmentLight, 
 enum class Interpolation {
   automatic,  ///< guided where the model holds a fit, else plain
   plain,      ///< the patent's
-  guided      ///< the patent's, of what the fitted model leaves over (render/guided_interpolation.h)
+  guided,     ///< the patent's, of what the fitted model leaves over (render/guided_interpolation.h)
+  model       ///< the fitted model alone, without the photographs
 };
 /// Which shadows fall on the surface.
 enum class Shadows {

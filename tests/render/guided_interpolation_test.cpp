@@ -64,8 +64,10 @@ Camera<ObjectSpace> cameraFrom(const Vec3& eye, int size = 48) {
 }
 
 Frame renderWith(const test::FormulaField& field, const ReflectanceFit* fit, const Camera<ObjectSpace>& camera,
-                 const FrameLights& lights, Shadows shadows = Shadows::captured, std::size_t memory = 1 << 30) {
+                 const FrameLights& lights, Shadows shadows = Shadows::captured, std::size_t memory = 1 << 30,
+                 bool model_alone = false) {
   FrameSettings settings;
+  settings.model_alone = model_alone;
   settings.fit = fit;
   settings.shadows = shadows;
   settings.memory_bytes = memory;
@@ -169,6 +171,19 @@ TEST_F(GuidedInterpolationTest, WhatTheModelLacksIsInterpolatedFromThePhotograph
   const double plain = psnr(renderWith(*odd_, nullptr, camera, lights), camera, lights, truth);
   EXPECT_GT(guided, plain + 3);
   EXPECT_GT(guided, model + 8);
+}
+
+TEST_F(GuidedInterpolationTest, TheModelAloneNeedsNeitherPhotographsNorAnOpenGate) {
+  const auto camera = cameraFrom({3, -4, 1});
+  FrameLights lights;
+  lights.distant = {sun({1, -1, 0.7})};
+  const auto alone = [&](const test::FormulaField& field, float gate) {
+    const ReflectanceFit fit = fitOf(field, gate);
+    return renderWith(field, &fit, camera, lights, Shadows::captured, 1 << 30, true);
+  };
+  const Frame model = alone(*odd_, 0);
+  EXPECT_GT(psnr(model, camera, lights, glossy), 44);
+  EXPECT_EQ(model.rgba.data(), alone(*exact_, 1).rgba.data());
 }
 
 TEST_F(GuidedInterpolationTest, AClosedGateIsPlainToTheBit) {

@@ -102,6 +102,8 @@ TEST_F(SceneTest, RefusalsNameThePlaceAndTheMend) {
   EXPECT_REFUSED(refusal(both + R"(, "interpolation": "guide")"), "/interpolation", "'guided'");
   EXPECT_REFUSED(refusal(both + R"(, "interpolation": "guided", "effects": {"shadows": "both"})"), "/effects/shadows",
                  "plain interpolation", "\"deformed\"");
+  EXPECT_REFUSED(refusal(both + R"(, "interpolation": "model", "effects": {"shadows": "both"})"), "/effects/shadows",
+                 "plain interpolation", "\"deformed\"");
   EXPECT_REFUSED(refusal(both + R"(, "effects": {"matte": 1})"), "/effects/matte", "true or false");
   EXPECT_REFUSED(refusal(both + R"(, "effects": {"ground": {}})"), "/effects/ground", "'height'");
   EXPECT_REFUSED(refusal(both + R"(, "effects": {"ground": {"height": 0, "albedo": [0, 2, 0]}})"),
