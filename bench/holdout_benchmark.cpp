@@ -67,24 +67,26 @@ ImageF averageOfNearest(const SrfManifest& field, const DeformedModel& deformed,
   ImageF image(camera.lens.width, camera.lens.height, 3);
   for (int y = 0; y < camera.lens.height; ++y) {
     std::vector<Ray<ObjectSpace>> rays;
-    for (int x = 0; x < camera.lens.width; ++x) rays.push_back(*camera.ray({x + 0.5, y + 0.5}));
+    std::vector<int> column;  // of each ray; a distorted lens may have none for a pixel
+    for (int x = 0; x < camera.lens.width; ++x)
+      if (const auto ray = camera.ray({x + 0.5, y + 0.5})) rays.push_back(*ray), column.push_back(x);
     std::vector<SurfaceHit> hits(rays.size());
     deformed.intersect(rays, hits);
-    for (int x = 0; x < camera.lens.width; ++x) {
-      const SurfaceHit& hit = hits[x];
+    for (std::size_t r = 0; r < rays.size(); ++r) {
+      const SurfaceHit& hit = hits[r];
       if (hit.count == 0) continue;
       std::vector<std::pair<double, std::size_t>> nearest;
       for (std::size_t i = 0; i < field.views.size(); ++i)
-        if (deformed.model().visible.get(hit.point[0], i))
+        if (deformed.model().visible.get(hit.point[0], i) && field.views[i].camera.project(hit.p0))
           nearest.emplace_back(
-              angleBetweenUnit(field.views[i].camera.viewDirection(hit.p0).raw(), -rays[x].direction.raw()), i);
+              angleBetweenUnit(field.views[i].camera.viewDirection(hit.p0).raw(), -rays[r].direction.raw()), i);
       std::sort(nearest.begin(), nearest.end());
       if (nearest.size() > most) nearest.resize(most);
       Vec3 sum;
       for (const auto& [angle, i] : nearest)
         sum += bilinear(photographs[i], field.views[i].camera.project(hit.p0)->pixel) /
                static_cast<double>(nearest.size());
-      for (int c = 0; c < 3; ++c) image.at(x, y, c) = static_cast<float>(sum[c]);
+      for (int c = 0; c < 3; ++c) image.at(column[r], y, c) = static_cast<float>(sum[c]);
     }
   }
   return image;
