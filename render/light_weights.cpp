@@ -163,8 +163,8 @@ void FrameLighting::gather(std::span<const LitPoint> points, std::span<const Wan
   for (std::size_t begin = 0, end = 0; begin < wanted.size(); begin = end) {
     const std::uint32_t list = wanted[begin].list;
     while (end < wanted.size() && wanted[end].list == list) ++end;
-    const bool distant_exact = !lights_.distant.empty() && !shares(list);
-    if (options_.sharing > 0 && !distant_exact && lists_[list].cells()) {
+    // All or none by the kernels, whatever other lights there are: so pictures stay linear in the lights.
+    if (options_.sharing > 0 && lists_[list].cells()) {
       gatherMany(list, points, wanted.subspan(begin, end - begin), out);
       continue;
     }
@@ -265,19 +265,24 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
                    &memory.light[l * k * stride]);
   }
   const auto& inverse = list.inverseIrradiances();
-  out.entries.reserve(out.entries.size() + count * (lights * k + lights_.rest.size()));
+  const std::size_t exact = shares(list_index) ? 0 : lights_.distant.size();
+  out.entries.reserve(out.entries.size() + count * ((exact + lights) * k + lights_.rest.size()));
+  const auto add = [&](std::uint32_t of, const Vec3& a) {
+    out.entries.push_back({of, {static_cast<float>(a.x), static_cast<float>(a.y), static_cast<float>(a.z)}});
+  };
   for (std::size_t i = 0; i < count; ++i) {
     LightWeights& w = out.weights[first + i];
     w.first_entry = static_cast<std::uint32_t>(out.entries.size());
+    const LitPoint& point = points[wanted[i].point];
+    for (const DistantLight& light : std::span(lights_.distant).first(exact))
+      standIn(list, point.acquisition_from_object * light.direction, light.irradiance, point.p, out.scratch,
+              out.nearest, add);
     for (std::size_t l = 0; l < lights; ++l) {
       const float* weight = &memory.weight[l * k * stride + i];
       const std::uint32_t* light = &memory.light[l * k * stride + i];
       if (!(*weight > 0)) {  // all tie
-        const LitPoint& point = points[wanted[i].point];
         const auto [direction, irradiance] = nearLightAt(lights_.near_lights[l], point);
-        standIn(list, direction, irradiance, point.p, out.scratch, out.nearest, [&](std::uint32_t of, const Vec3& a) {
-          out.entries.push_back({of, {static_cast<float>(a.x), static_cast<float>(a.y), static_cast<float>(a.z)}});
-        });
+        standIn(list, direction, irradiance, point.p, out.scratch, out.nearest, add);
         continue;
       }
       const Rgb& e = memory.irradiance[l * stride + i];

@@ -247,7 +247,7 @@ TEST(ExactHull, LensesAreStraightened) {
     views.push_back(std::move(ball));
   }
   std::vector<SilhouettePolygons> polygons;
-  for (const auto& v : views) polygons.push_back(silhouettePolygons(v, 1));
+  for (const auto& v : views) polygons.push_back(silhouettePolygons(v, 0.5));
   const AcquisitionMesh mesh = exactHull(polygons, cube(3), Reporter::silent());
   HullOptions options;
   options.exclude_outliers = false;
