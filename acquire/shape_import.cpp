@@ -3,6 +3,7 @@
 #define CGAL_EIGEN3_ENABLED 1  // the solver of the Poisson equation
 #include <CGAL/Exact_predicates_inexact_constructions_kernel.h>
 #include <CGAL/Polygon_mesh_processing/orient_polygon_soup.h>
+#include <CGAL/Random.h>
 #include <CGAL/Surface_mesh.h>
 #include <CGAL/compute_average_spacing.h>
 #include <CGAL/grid_simplify_point_set.h>
@@ -357,23 +358,34 @@ ImportedShape importPoints(const AcquisitionMesh& cloud, const std::vector<Point
   spacing = CGAL::compute_average_spacing<CGAL::Sequential_tag>(points, 6, maps);
   constexpr double kAngle = 25, kTriangle = 2.5,
                    kApproximation = 0.2;  // degrees; triangle size, distance: of the spacing
-  CGAL::Surface_mesh<Kernel::Point_3> surface;
-  if (!CGAL::poisson_surface_reconstruction_delaunay(
-          points.begin(), points.end(), CGAL::First_of_pair_property_map<PointVector>(),
-          CGAL::Second_of_pair_property_map<PointVector>(), surface, spacing, kAngle, kTriangle, kApproximation))
-    throw badInput(file, "no surface could be made of the points; check their normals");
+  // CGAL's mesher begins at random places, by the time of day unless told otherwise, and from some of them a triangle
+  // is left out: the first seed whose surface is closed, always the same.
+  constexpr unsigned kSeeds = 8;
   ImportedShape shape;
-  for (const auto v : surface.vertices()) {
-    const auto& p = surface.point(v);
-    shape.mesh.positions.emplace_back(p.x(), p.y(), p.z());
+  for (unsigned seed = 0; seed < kSeeds; ++seed) {
+    CGAL::get_default_random() = CGAL::Random(seed);
+    CGAL::Surface_mesh<Kernel::Point_3> surface;
+    if (!CGAL::poisson_surface_reconstruction_delaunay(
+            points.begin(), points.end(), CGAL::First_of_pair_property_map<PointVector>(),
+            CGAL::Second_of_pair_property_map<PointVector>(), surface, spacing, kAngle, kTriangle, kApproximation))
+      throw badInput(file, "no surface could be made of the points; check their normals");
+    AcquisitionMesh mesh;
+    for (const auto v : surface.vertices()) {
+      const auto& p = surface.point(v);
+      mesh.positions.emplace_back(p.x(), p.y(), p.z());
+    }
+    for (const auto f : surface.faces()) {
+      Triangle t;
+      int k = 0;
+      for (const auto v : CGAL::vertices_around_face(surface.halfedge(f), surface)) t[k++] = v.idx();
+      mesh.triangles.push_back(t);
+    }
+    cleanMesh(mesh);
+    const MeshTopology topology = meshTopology(mesh);
+    const bool whole = topology.closed && topology.manifold && topology.oriented;
+    if (whole || seed == 0) shape.mesh = std::move(mesh);
+    if (whole) break;
   }
-  for (const auto f : surface.faces()) {
-    Triangle t;
-    int k = 0;
-    for (const auto v : CGAL::vertices_around_face(surface.halfedge(f), surface)) t[k++] = v.idx();
-    shape.mesh.triangles.push_back(t);
-  }
-  cleanMesh(shape.mesh);
   if (shape.mesh.triangles.empty()) throw badInput(file, "no surface could be made of the points; check their normals");
   orientOutwards(shape.mesh);
   shape.mesh.normals = vertexNormals(smoothed(shape.mesh, 2));
