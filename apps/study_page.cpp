@@ -126,7 +126,8 @@ std::string recommendations(const Study& study) {
 
 std::string knobPlot(const Study& study, const Knob& knob) {
   const KnobCurve curve = curveOf(study, knob);
-  const auto& [measured, labels, error_back, time_back] = curve;
+  const std::vector<const MeasuredSetting*>& measured = curve.measured;
+  const std::vector<std::string>& labels = curve.labels;
   if (measured.size() < 2) return "";
   double least_time = HUGE_VAL, most_time = 0, least_error = HUGE_VAL, most_error = 0;
   for (const auto* m : measured) {
@@ -160,8 +161,8 @@ std::string knobPlot(const Study& study, const Knob& knob) {
          " " + escaped(labels.back()) + " instead of " + escaped(labels.front()) +
          format(" costs %s of error and takes %.2f of the time.", percent(cheap.worstError()).c_str(),
                 cheap.worstSeconds() / exact.worstSeconds()) +
-         (error_back > kSteady && !knob.unit.empty()
-              ? format(" On the way the error falls back by %.0f %%.", 100 * error_back)
+         (curve.error_back > kSteady && !knob.unit.empty()
+              ? format(" On the way the error falls back by %.0f %%.", 100 * curve.error_back)
               : "") +
          "</p></div>\n";
 }

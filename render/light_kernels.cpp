@@ -11,6 +11,8 @@
 // After highway.h.
 #include <hwy/contrib/math/math-inl.h>
 
+#include "render/nearest_lanes-inl.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace srf {
 namespace HWY_NAMESPACE {
@@ -50,7 +52,7 @@ void nearestOf(const LightCells& cells, const float* x, const float* y, const fl
   const I n;
   constexpr std::size_t kLanes = hn::MaxLanes(f);
   const auto far = hn::Set(f, 1e30f), least = hn::Set(f, static_cast<float>(kLeastPenalty)), zero = hn::Zero(f),
-             one = hn::Set(f, 1.f), two = hn::Set(f, 2.f), half = hn::Set(f, 0.5f), four = hn::Set(f, 4.f);
+             one = hn::Set(f, 1.f);
   for (std::size_t i = 0; i < count; i += kLanes) {
     const auto dx = hn::LoadU(f, x + i), dy = hn::LoadU(f, y + i), dz = hn::LoadU(f, z + i);
     const auto cell_of = hn::LoadU(n, cell + i);
@@ -60,16 +62,7 @@ void nearestOf(const LightCells& cells, const float* x, const float* y, const fl
     const auto look = [&](auto x, auto y, auto z, auto of, auto counts) {
       const auto cx = hn::Sub(dx, x), cy = hn::Sub(dy, y), cz = hn::Sub(dz, z);
       auto squared = hn::IfThenElse(counts, hn::MulAdd(cx, cx, hn::MulAdd(cy, cy, hn::Mul(cz, cz))), far);
-      for (int j = 0; j <= kNearest; ++j) {
-        const auto nearer = hn::Lt(squared, best[j]);
-        const auto nearer_light = hn::RebindMask(n, nearer);
-        const auto next = hn::IfThenElse(nearer, best[j], squared);
-        const auto next_of = hn::IfThenElse(nearer_light, source[j], of);
-        best[j] = hn::IfThenElse(nearer, squared, best[j]);
-        source[j] = hn::IfThenElse(nearer_light, of, source[j]);
-        squared = next;
-        of = next_of;
-      }
+      keepLeast(best, source, squared, of);
     };
     const std::size_t lanes = count - i < kLanes ? count - i : kLanes;
     std::int32_t distinct[kLanes];
@@ -107,14 +100,7 @@ void nearestOf(const LightCells& cells, const float* x, const float* y, const fl
              hn::RebindMask(f, valid));
       }
     }
-    // 1 / angle; beyond a right angle by the chord to the opposite direction.
-    const auto inverse = [&](auto squared) {
-      const auto small = hn::Le(squared, two);
-      const auto near = hn::IfThenElse(small, squared, hn::Max(hn::Sub(four, squared), zero));
-      const auto angle = hn::Mul(two, hn::Asin(f, hn::Mul(half, hn::Sqrt(near))));
-      return hn::Div(one,
-                     hn::Max(least, hn::IfThenElse(small, angle, hn::Sub(hn::Set(f, static_cast<float>(kPi)), angle))));
-    };
+    const auto inverse = [&](auto squared) { return hn::Div(one, hn::Max(least, angleOfChord(f, squared))); };
     const auto threshold = inverse(best[kNearest]);
     hn::Vec<F> weights[kNearest];
     auto sum = zero;
@@ -132,25 +118,8 @@ void nearestOf(const LightCells& cells, const float* x, const float* y, const fl
 
 void nearest(const LightCells& cells, const float* x, const float* y, const float* z, const std::int32_t* cell,
              std::size_t count, int k, std::size_t stride, float* weight, std::uint32_t* light) {
-  const auto run = [&](auto of) { of(cells, x, y, z, cell, count, stride, weight, light); };
-  switch (k) {
-    case 1:
-      return run(nearestOf<1>);
-    case 2:
-      return run(nearestOf<2>);
-    case 3:
-      return run(nearestOf<3>);
-    case 4:
-      return run(nearestOf<4>);
-    case 5:
-      return run(nearestOf<5>);
-    case 6:
-      return run(nearestOf<6>);
-    case 7:
-      return run(nearestOf<7>);
-    default:
-      return run(nearestOf<8>);
-  }
+  withCount<kMostNearest>(
+      k, [&](auto n) { nearestOf<decltype(n)::value>(cells, x, y, z, cell, count, stride, weight, light); });
 }
 
 void orientations(const OrientationLanes& in, std::size_t count, std::int32_t half_cells, const OrientationCells& out) {

@@ -102,6 +102,14 @@ void FrameLighting::standIn(const AcquiredLights& list, const Direction<Acquisit
     add(light.source, light.weight * (irradiance * list.inverseIrradiance(light.source, p)));
 }
 
+void FrameLighting::standIn(const AcquiredLights& list, const Direction<AcquisitionSpace>& direction,
+                            const Vec3& irradiance, const Point<AcquisitionSpace>& p, LightGather& out) const {
+  standIn(list, direction, irradiance, p, out.scratch, out.nearest, [&](std::uint32_t light, const Vec3& weight) {
+    out.entries.push_back(
+        {light, {static_cast<float>(weight.x), static_cast<float>(weight.y), static_cast<float>(weight.z)}});
+  });
+}
+
 OrientationGrid::Blend FrameLighting::sharedCorners(
     const Orthogonal<AcquisitionSpace, ObjectSpace>& acquisition_from_object) const {
   if (options_.only_orientation) return {{kOnlyOrientation}, {1}};
@@ -138,25 +146,31 @@ std::uint32_t FrameLighting::gather(std::uint32_t list_index, const LitPoint& po
   const AcquiredLights& list = lists_[list_index];
   LightWeights w;
   w.first_entry = static_cast<std::uint32_t>(out.entries.size());
-  const auto add = [&](std::uint32_t light, const Vec3& weight) {
-    out.entries.push_back(
-        {light, {static_cast<float>(weight.x), static_cast<float>(weight.y), static_cast<float>(weight.z)}});
-  };
-  if (shares(list_index)) {
+  if (shares(list_index))
     noteShared(list_index, point, out, w);
-  } else {
-    for (const DistantLight& light : lights_.distant)
-      standIn(list, point.acquisition_from_object * light.direction, light.irradiance, point.p, out.scratch,
-              out.nearest, add);
-  }
-  for (const NearLight& light : lights_.near_lights) {
-    const auto [direction, irradiance] = nearLightAt(light, point);
-    standIn(list, direction, irradiance, point.p, out.scratch, out.nearest, add);
-  }
-  for (const RestLight& light : lights_.rest)
-    if (const auto at = list.find(light.light)) add(*at, Vec3{light.scale, light.scale, light.scale});
-
+  else
+    addDistant(list, point, out);
+  for (const NearLight& light : lights_.near_lights) addNear(list, light, point, out);
+  addRest(list, out);
   return out.append(w, list.count());
+}
+
+void FrameLighting::addDistant(const AcquiredLights& list, const LitPoint& point, LightGather& out) const {
+  for (const DistantLight& light : lights_.distant)
+    standIn(list, point.acquisition_from_object * light.direction, light.irradiance, point.p, out);
+}
+
+void FrameLighting::addNear(const AcquiredLights& list, const NearLight& light, const LitPoint& point,
+                            LightGather& out) const {
+  const auto [direction, irradiance] = nearLightAt(light, point);
+  standIn(list, direction, irradiance, point.p, out);
+}
+
+void FrameLighting::addRest(const AcquiredLights& list, LightGather& out) const {
+  for (const RestLight& light : lights_.rest) {
+    const auto scale = static_cast<float>(light.scale);
+    if (const auto at = list.find(light.light)) out.entries.push_back({*at, {scale, scale, scale}});
+  }
 }
 
 void FrameLighting::gather(std::span<const LitPoint> points, std::span<const Wanted> wanted, LightGather& out) const {
@@ -267,22 +281,16 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
   const auto& inverse = list.inverseIrradiances();
   const std::size_t exact = shares(list_index) ? 0 : lights_.distant.size();
   out.entries.reserve(out.entries.size() + count * ((exact + lights) * k + lights_.rest.size()));
-  const auto add = [&](std::uint32_t of, const Vec3& a) {
-    out.entries.push_back({of, {static_cast<float>(a.x), static_cast<float>(a.y), static_cast<float>(a.z)}});
-  };
   for (std::size_t i = 0; i < count; ++i) {
     LightWeights& w = out.weights[first + i];
     w.first_entry = static_cast<std::uint32_t>(out.entries.size());
     const LitPoint& point = points[wanted[i].point];
-    for (const DistantLight& light : std::span(lights_.distant).first(exact))
-      standIn(list, point.acquisition_from_object * light.direction, light.irradiance, point.p, out.scratch,
-              out.nearest, add);
+    if (exact > 0) addDistant(list, point, out);
     for (std::size_t l = 0; l < lights; ++l) {
       const float* weight = &memory.weight[l * k * stride + i];
       const std::uint32_t* light = &memory.light[l * k * stride + i];
       if (!(*weight > 0)) {  // all tie
-        const auto [direction, irradiance] = nearLightAt(lights_.near_lights[l], point);
-        standIn(list, direction, irradiance, point.p, out.scratch, out.nearest, add);
+        addNear(list, lights_.near_lights[l], point, out);
         continue;
       }
       const Rgb& e = memory.irradiance[l * stride + i];
@@ -294,11 +302,7 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
         out.entries.push_back({of, {share * (e[0] * per[0]), share * (e[1] * per[1]), share * (e[2] * per[2])}});
       }
     }
-    for (const RestLight& rest : lights_.rest)
-      if (const auto at = list.find(rest.light)) {
-        const auto scale = static_cast<float>(rest.scale);
-        out.entries.push_back({static_cast<std::uint32_t>(*at), {scale, scale, scale}});
-      }
+    addRest(list, out);
     out.settle(w, list.count());
   }
 }

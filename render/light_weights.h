@@ -127,6 +127,12 @@ class FrameLighting {
   void standIn(const AcquiredLights& list, const Direction<AcquisitionSpace>& direction, const Vec3& irradiance,
                const Point<AcquisitionSpace>& p, std::vector<Penalised>& scratch, std::vector<Weighted>& nearest,
                const Add& add) const;
+  /// Appends them as entries, in float.
+  void standIn(const AcquiredLights& list, const Direction<AcquisitionSpace>& direction, const Vec3& irradiance,
+               const Point<AcquisitionSpace>& p, LightGather& out) const;
+  void addDistant(const AcquiredLights& list, const LitPoint& point, LightGather& out) const;
+  void addNear(const AcquiredLights& list, const NearLight& light, const LitPoint& point, LightGather& out) const;
+  void addRest(const AcquiredLights& list, LightGather& out) const;
   void noteShared(std::uint32_t list, const LitPoint& point, LightGather& out, LightWeights& weights) const;
   /// The direction of a point light at a hit, and what it sends there.
   std::pair<Direction<AcquisitionSpace>, Vec3> nearLightAt(const NearLight& light, const LitPoint& point) const;

@@ -13,6 +13,8 @@
 // After highway.h.
 #include <hwy/contrib/math/math-inl.h>
 
+#include "render/nearest_lanes-inl.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace srf {
 namespace HWY_NAMESPACE {
@@ -52,16 +54,7 @@ void nearestOf(const NearViews& views, const NearLanes& hits, std::size_t count,
       auto value = hn::IfThenElse(seen, hn::IfThenElse(hn::Gt(least, zero), least, zero), infinite);
       hn::StoreU(value, f, bound + s * stride + i);
       auto view = hn::Set(n, static_cast<std::int32_t>(s));
-      for (int j = 0; j < kWanted; ++j) {
-        const auto nearer = hn::Lt(value, best[j]);
-        const auto nearer_view = hn::RebindMask(n, nearer);
-        const auto next = hn::IfThenElse(nearer, best[j], value);
-        const auto next_view = hn::IfThenElse(nearer_view, of[j], view);
-        best[j] = hn::IfThenElse(nearer, value, best[j]);
-        of[j] = hn::IfThenElse(nearer_view, view, of[j]);
-        value = next;
-        view = next_view;
-      }
+      keepLeast(best, of, value, view);
       others = hn::Min(others, value);
     }
     for (int j = 0; j < kWanted; ++j) hn::StoreU(of[j], n, slot + j * stride + i);
@@ -71,27 +64,8 @@ void nearestOf(const NearViews& views, const NearLanes& hits, std::size_t count,
 
 void nearest(const NearViews& views, const NearLanes& hits, std::size_t count, std::size_t stride, int wanted,
              float* bound, std::int32_t* slot, float* rest) {
-  const auto run = [&](auto of) { of(views, hits, count, stride, bound, slot, rest); };
-  switch (wanted) {
-    case 1:
-      return run(nearestOf<1>);
-    case 2:
-      return run(nearestOf<2>);
-    case 3:
-      return run(nearestOf<3>);
-    case 4:
-      return run(nearestOf<4>);
-    case 5:
-      return run(nearestOf<5>);
-    case 6:
-      return run(nearestOf<6>);
-    case 7:
-      return run(nearestOf<7>);
-    case 8:
-      return run(nearestOf<8>);
-    default:
-      return run(nearestOf<kMostNearViews>);
-  }
+  withCount<kMostNearViews>(
+      wanted, [&](auto n) { nearestOf<decltype(n)::value>(views, hits, count, stride, bound, slot, rest); });
 }
 
 void place(const Camera<AcquisitionSpace>& camera, const Vec2& crop, double least_foreshortening, const HitLanes& hits,
@@ -175,15 +149,8 @@ void chords(const Vec3& from, const double* x, const double* y, const double* z,
 
 void angles(double* chord2, std::size_t count) {
   const hn::CappedTag<double, kVectorLanes> d;
-  const auto half = hn::Set(d, 0.5), two = hn::Set(d, 2.0), four = hn::Set(d, 4.0), zero = hn::Zero(d);
-  for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
-    const auto c2 = hn::LoadU(d, chord2 + i);
-    // Beyond a right angle by the chord to the opposite direction: an arcsine near 1 loses digits.
-    const auto small = hn::Le(c2, two);
-    const auto near = hn::IfThenElse(small, c2, hn::Max(hn::Sub(four, c2), zero));
-    const auto angle = hn::Mul(two, hn::Asin(d, hn::Mul(half, hn::Sqrt(near))));
-    hn::StoreU(hn::IfThenElse(small, angle, hn::Sub(hn::Set(d, kPi), angle)), d, chord2 + i);
-  }
+  for (std::size_t i = 0; i < count; i += hn::Lanes(d))
+    hn::StoreU(angleOfChord(d, hn::LoadU(d, chord2 + i)), d, chord2 + i);
 }
 
 }  // namespace HWY_NAMESPACE
