@@ -748,13 +748,13 @@ TEST(Study, CaptureOfUnknownIlluminationLeavesViewsOutAlone) {
 TEST(Effects, ComeOutAsInTheExactReference) {
   test::TemporaryFolder folder;
   const fs::path capture = folder / "capture", field = folder / "x.srf", file = folder / "scene.json";
-  ASSERT_EQ(run({"synth", "-o", capture, "--views", "24", "--lights", "64", "--size", "64"}).code, 0);
+  ASSERT_EQ(run({"synth", "-o", capture, "--views", "24", "--lights", "64", "--size", "64", "--mesh-cells", "64"}).code, 0);
   ASSERT_EQ(run({"acquire", capture, "-o", field}).code, 0);
   ASSERT_EQ(run({"model", field, "--shape", capture / "model.ply"}).code, 0);
   Json scene = sample().sceneJson();
   scene["srf"] = field.string();
   scene["frames"] = "4";
-  scene["camera"]["w"] = 64, scene["camera"]["h"] = 48;
+  scene["camera"]["w"] = 48, scene["camera"]["h"] = 36;
   scene["camera"]["look_at"]["eye"] = {{"keys", {{0, {-0.8, -4, 1.2}}, {8, {0.8, -4, 1.2}}}}};
   scene["deformation"][0]["degrees_per_unit"] = {{"keys", {{0, 0}, {8, 80}}}};
   const auto psnr = [&](const Json& effects, const char* what) {
@@ -783,7 +783,7 @@ TEST(Effects, ShadowsByRaysComeOutAsInTheExactReference) {
   test::TemporaryFolder folder;
   const fs::path capture = folder / "capture", field = folder / "x.srf", file = folder / "scene.json";
   ASSERT_EQ(run({"synth", "-o", capture, "--object", "ball_on_plate", "--material", "lambert", "--views", "24",
-                 "--lights", "100", "--size", "72"})
+                 "--lights", "100", "--size", "72", "--mesh-cells", "72"})
                 .code,
             0);
   ASSERT_EQ(run({"acquire", capture, "-o", field}).code, 0);
