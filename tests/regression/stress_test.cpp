@@ -198,7 +198,7 @@ TEST(Stress, RandomDeformationsKeepFinitePicturesTheirEnergyAndTheirBits) {
       options.middle = middle;
       options.radius = radius;
       options.model.kind = surfels ? ModelKind::surfels : ModelKind::mesh;
-      options.model.surfels = 500;  // an absurd pose splits each into 343, all across one pixel
+      options.model.surfels = 250;  // an absurd pose splits each into 343, all across one pixel
       fields.push_back(
           test::makeSphereField(folder / ("f" + std::to_string(fields.size()) + ".srf"), options, lambert));
     }
