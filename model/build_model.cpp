@@ -116,8 +116,10 @@ DeformableModel buildModel(const AcquisitionMesh& surface, const std::string& sh
   for (std::size_t i = 0; i < model.size(); ++i)
     model.r0[i] = rodriguesFromRotation(restFrame(normals[i], directions[i]));
   // A carved or scanned surface is bumpy by as much as it is off: nothing nearer than that counts as an occluder.
-  model.visible = findVisibility(model.p0, normals, mesh, field.views,
-                                 options.visibility_bias * diameter + positional_error, reporter);
+  const double least_distance = options.visibility_bias * diameter + positional_error;
+  const auto scene = RayScene<AcquisitionSpace>::ofTriangles(mesh.positions, mesh.triangles);
+  model.visible = findVisibility(model.p0, normals, scene, field.views, least_distance, reporter);
+  model.visible = withoutMixedTexels(model.visible, model.p0, normals, scene, field.views, least_distance, reporter);
   if (options.kind == ModelKind::surfels) model.rest_mesh = std::move(mesh);
 
   std::size_t unseen = 0;
