@@ -1,8 +1,11 @@
 // A field larger than memory (claims 19, 20): a strongly twisted sphere whose views hold ten times the data that the
 // program is allowed, rendered in the order of the blocks and hit by hit, with caches from one block on, from the disk
 // past the system's cache of files. Beside it the time in which as many bytes come from the disk with nothing else
-// done. Prints Markdown, and draws time against the size of the cache.
+// done. Then blocks as principal components beside lossless ones, from the disk and in memory, and what larger fields
+// would take. Prints Markdown, and draws time against the size of the cache.
 #include <fcntl.h>
+#include <malloc.h>
+#include <pthread.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -11,10 +14,13 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <functional>
 #include <thread>
 
 #include "apps/program.h"
 #include "base/error.h"
+#include "base/memory.h"
+#include "base/numeric.h"
 #include "base/parallel.h"
 #include "bench/timing.h"
 #include "render/frame_renderer.h"
@@ -26,18 +32,26 @@ namespace {
 namespace fs = std::filesystem;
 
 struct Extent {
-  int views = 30, lights = 100, size = 512;
+  int views, lights, size;
 };
 constexpr int kSubdivision = 6;  // 32768 triangles
 
-// A matt and glossy sphere with bands, and noise like that of photons, 2 % at white.
-Vec3 radiance(const Vec3& p, const Vec3& l, const Vec3& v) {
+// A matt and glossy sphere with bands.
+Vec3 clean(const Vec3& p, const Vec3& l, const Vec3& v) {
   const double cosine = dot(p, l);
   if (cosine <= 0) return {};
   const Vec3 half = l + v;
-  const double gloss = 0.3 * std::pow(std::max(0.0, dot(p, half) / length(half)), 40);
+  const double shine = std::max(0.0, dot(p, half) / length(half));
+  const double shine8 = square(square(square(shine)));
+  const double gloss = 0.3 * square(square(shine8)) * shine8;
   const double band = 0.6 + 0.4 * std::sin(25 * p.z + 3 * p.x);
-  Vec3 value = cosine * (Vec3{0.25 * band, 0.2, 0.15 + 0.1 * band} + gloss * Vec3{1, 1, 1});
+  return cosine * (Vec3{0.25 * band, 0.2, 0.15 + 0.1 * band} + gloss * Vec3{1, 1, 1});
+}
+
+// The same with noise like that of photons, 2 % at white.
+Vec3 noisy(const Vec3& p, const Vec3& l, const Vec3& v) {
+  Vec3 value = clean(p, l, v);
+  if (dot(p, l) <= 0) return {};
   std::uint64_t bits = 0x9e3779b97f4a7c15u;
   for (const double x : {p.x, p.y, l.x, l.z, v.x}) {
     bits ^= static_cast<std::uint64_t>(static_cast<std::int64_t>(x * 1e9));
@@ -45,29 +59,23 @@ Vec3 radiance(const Vec3& p, const Vec3& l, const Vec3& v) {
     bits ^= bits >> 32;
   }
   for (int c = 0; c < 3; ++c) {
-    double sum = -3;  // of six uniform numbers: nearly normal, variance 1/2
-    for (int k = 0; k < 6; ++k) {
-      bits = bits * 6364136223846793005u + 1442695040888963407u;
-      sum += static_cast<double>(bits >> 11) * 0x1p-53;
-    }
-    value[c] = std::max(0.0, value[c] + 0.02 * std::sqrt((value[c] + 0.016) * 0.318) * 1.414 * sum);
+    bits = bits * 6364136223846793005u + 1442695040888963407u;
+    const std::uint64_t mixed = bits ^ bits >> 29;
+    double sum = -2;  // of four uniform numbers: nearly normal, variance 1/3
+    for (int k = 0; k < 4; ++k) sum += static_cast<double>(mixed >> 16 * k & 0xffff) * 0x1p-16;
+    value[c] = std::max(0.0, value[c] + 0.02 * std::sqrt((value[c] + 0.016) * 0.318 * 3) * sum);
   }
   return value;
 }
 
 // In a process of its own, whose memory does not count for this one.
-void makeField(const fs::path& folder, const Extent& extent, Compression compression) {
+void makeApart(const fs::path& folder, const std::function<void()>& make) {
   if (fs::exists(folder / "manifest.json")) return;
   const pid_t child = ::fork();
   if (child == 0) {
-    test::FormulaFieldOptions options;
-    options.views = extent.views, options.lights = extent.lights, options.size = extent.size;
-    options.subdivision = 2;  // the model is made by the parent
-    options.levels = true;
-    options.coding.compression = compression;
     int code = 0;
     try {
-      makeSphereField(folder, options, radiance);
+      make();
     } catch (const std::exception& e) {
       std::fprintf(stderr, "%s\n", e.what());
       code = 1;
@@ -79,10 +87,53 @@ void makeField(const fs::path& folder, const Extent& extent, Compression compres
   if (status != 0) throw Error(ErrorKind::failed, "could not be made", folder.string());
 }
 
-std::uint64_t bytesOf(const fs::path& folder) {
-  std::uint64_t bytes = 0;
-  for (const auto& entry : fs::directory_iterator(folder / "views")) bytes += entry.file_size();
-  return bytes;
+void makeField(const fs::path& folder, const Extent& extent, Compression compression,
+               const test::ReflectanceFormula& radiance) {
+  makeApart(folder, [&] {
+    test::FormulaFieldOptions options;
+    options.views = extent.views, options.lights = extent.lights, options.size = extent.size;
+    options.subdivision = 2;  // the model is made by the parent
+    options.levels = true;
+    options.coding.compression = compression;
+    options.parallel = true;
+    makeSphereField(folder, options, radiance);
+  });
+}
+
+/// Writes the view's store again. Returns its hash.
+std::uint64_t writeAgain(const fs::path& from, const fs::path& to, Compression compression) {
+  const ReflectanceStore store(from);
+  const StoreGeometry& g = store.geometry();
+  Image8 coverage(g.cropWidth(), g.cropHeight(), 1);
+  for (int y = 0; y < g.cropHeight(); ++y)
+    for (int x = 0; x < g.cropWidth(); ++x) coverage.at(x, y) = static_cast<std::uint8_t>(store.coverage().at(x, y));
+  StoreCoding coding;
+  coding.compression = compression;
+  ReflectanceStoreWriter writer(to, g, coverage, coding);
+  std::vector<std::uint16_t> block(g.blockHalves());
+  for (int y = 0; y < g.tiles_y; ++y)
+    for (int x = 0; x < g.tiles_x; ++x)
+      if (store.hasTile(x, y)) {
+        store.readTile(x, y, block);
+        writer.writeTile(x, y, block);
+      }
+  return writer.commit();
+}
+
+/// Every `step`-th view of a field, its blocks kept in another way.
+void makeAgain(const fs::path& folder, const fs::path& from, Compression compression, std::size_t step = 1) {
+  makeApart(folder, [&] {
+    SrfManifest manifest = readManifest(from);
+    std::vector<StoredView> kept;
+    for (std::size_t v = 0; v < manifest.views.size(); v += step) kept.push_back(manifest.views[v]);
+    manifest.views = kept;
+    fs::create_directories(folder / "views");
+    parallelFor(kept.size(), 1, [&](std::size_t v, std::size_t) {
+      StoredView& view = manifest.views[v];
+      view.hash = writeAgain(from / view.file, folder / view.file, compression);
+    });
+    writeManifest(folder, manifest);
+  });
 }
 
 /// Milliseconds in which `bytes` come from the files of the field: 16 requests of 128 KiB at a time, past the cache of
@@ -128,66 +179,130 @@ double pictureDistance(const Frame& a, const Frame& b) {
 }
 
 struct Timing {
-  double milliseconds = 0, execute = 0, waiting = 0;
-  double read = 0, misses = 0, reread = 0, requests = 0;
+  double milliseconds = 0, execute = 0, reading = 0;
+  double read = 0, misses = 0, reread = 0;
   Frame frame;
 };
 
+/// Pictures of fields of the same views.
 class Bench {
  public:
-  Bench(const fs::path& folder, const SrfManifest& manifest, int size, Reporter& reporter)
-      : manifest_(manifest),
-        model_(buildModel(test::unitSphere(kSubdivision), "sphere", 1e-6, manifest, {}, reporter)),
+  Bench(const SrfManifest& manifest, int size, double texels, Reporter& reporter)
+      : model_(buildModel(test::unitSphere(kSubdivision), "sphere", 1e-6, manifest, {}, reporter)),
         deformed_(model_),
-        folder_(folder),
         reporter_(reporter) {
+    settings.accuracy.texels = texels;
     camera_.lens = pinholeFromFov(size, size, 40);
     camera_.pose =
         *lookAt(Point<ObjectSpace>(Vec3{1, -3.2, 0.6}), Point<ObjectSpace>(), Vector<ObjectSpace>(Vec3{0, 0, 1}));
     const JsonNode twist = parseJson(R"([{"type":"twist","axis":[0,0,1],"degrees_per_unit":120}])", "twist");
-    deformed_.deform(AnimatedDeformation::parse(twist, folder, reporter).at(0));
+    deformed_.deform(AnimatedDeformation::parse(twist, ".", reporter).at(0));
     for (int i = 0; i < 128; ++i)
       lights_.distant.push_back({Direction<ObjectSpace>::fromUnit(test::fibonacci(i, 128)),
                                  (0.5 + 0.5 * test::fibonacci(i, 128).z) * Vec3{0.05, 0.05, 0.06}});
   }
-  /// One frame of a renderer that has not read anything, or its second where `warm`.
-  Timing frame(const fs::path& folder, const SrfManifest& manifest, std::optional<std::size_t> cache_bytes,
-               ExecutionOrder order, bool direct, std::size_t memory_bytes, bool warm = false) {
-    FrameSettings settings;
-    settings.memory_bytes = memory_bytes;
-    settings.cache_bytes = cache_bytes;
-    settings.order = order;
-    settings.direct_reads = direct;
+  /// A frame of a renderer that has not read anything, or its second where `warm`.
+  Timing frame(const fs::path& folder, const SrfManifest& manifest, bool warm = false) {
     FrameRenderer renderer(folder, manifest, model_, settings, reporter_);
+    if (warm) renderer.render(camera_, deformed_, lights_);
+    auto before = warm ? reporter_.figures() : std::map<std::string, double>();
     Timing t;
-    const auto before = [&](const char* name) {
-      const auto figures = reporter_.figures();
-      const auto at = figures.find(name);
-      return at == figures.end() ? 0.0 : at->second;
-    };
-    double execute = 0;
-    if (warm) {
-      renderer.render(camera_, deformed_, lights_);
-      execute = before("seconds.execute");
-    }
     t.milliseconds = bench::milliseconds([&] { t.frame = renderer.render(camera_, deformed_, lights_); });
-    t.execute = 1e3 * (before("seconds.execute") - execute);
-    t.waiting = 1e3 * before("seconds.waiting");
-    t.read = before("cache.bytes_read"), t.misses = before("cache.misses");
-    t.reread = before("cache.reread"), t.requests = before("cache.requests");
+    auto after = reporter_.figures();
+    const auto figure = [&](const char* name) { return after[name] - before[name]; };
+    t.execute = 1e3 * figure("seconds.execute"), t.reading = 1e3 * figure("seconds.reading");
+    t.read = figure("cache.bytes_read"), t.misses = figure("cache.misses"), t.reread = figure("cache.reread");
     return t;
   }
-  const fs::path& folder() const { return folder_; }
-  const SrfManifest& manifest() const { return manifest_; }
+
+  FrameSettings settings;
 
  private:
-  SrfManifest manifest_;
   DeformableModel model_;
   DeformedModel deformed_;
-  fs::path folder_;
   Reporter& reporter_;
   Camera<ObjectSpace> camera_;
   FrameLights lights_;
+};
+
+/// Bytes that count for RLIMIT_DATA.
+std::size_t dataBytes() {
+  std::size_t kilobytes = 0;
+  if (FILE* file = std::fopen("/proc/self/status", "r")) {
+    char line[256];
+    while (std::fgets(line, sizeof line, file))
+      if (std::sscanf(line, "VmData: %zu", &kilobytes) == 1) break;
+    std::fclose(file);
+  }
+  return kilobytes << 10;
+}
+
+/// The field of the claim: what a frame takes from the disk, in both orders and with caches of several sizes.
+struct Streamed {
+  std::vector<std::pair<double, double>> sorted, immediate;  ///< blocks in the cache, seconds
+  double sorted_at_three = 0, immediate_at_three = 0, disk_at_three = 0;
+  bool same = true, once = true;
+};
+Streamed stream(Bench& one, const fs::path& folder, const SrfManifest& manifest, std::size_t block, int repeats,
+                std::span<const std::size_t> sorted_blocks, std::span<const std::size_t> immediate_blocks) {
+  std::printf(
+      "| order | cache, blocks | s a frame | MB read | blocks read | of these again | the disk alone, s | ratio |\n"
+      "|---|---|---|---|---|---|---|---|\n");
+  Streamed result;
+  std::optional<Frame> reference;
+  one.settings.direct_reads = true;
+  const auto row = [&](ExecutionOrder order, std::size_t blocks) {
+    const bool sorted = order == ExecutionOrder::sorted;
+    one.settings.order = order;
+    one.settings.cache_bytes = blocks * block;
+    bench::Series times, disk;
+    Timing t;
+    for (int i = 0; i < (sorted ? repeats : 1); ++i) {
+      t = one.frame(folder, manifest);
+      times.add(t.milliseconds);
+      disk.add(bareDisk(folder, static_cast<std::uint64_t>(t.read)));
+    }
+    if (!reference) reference = t.frame;
+    result.same = result.same && reference->rgba.data() == t.frame.rgba.data();
+    if (sorted) result.once = result.once && t.reread == 0;
+    std::printf("| %s | %zu | %.2f (%.2f .. %.2f) | %.0f | %.0f | %.0f | %.2f | %s |\n",
+                sorted ? "sorted" : "hit by hit", blocks, times.median() / 1e3, times.at(0) / 1e3, times.at(1) / 1e3,
+                t.read / 1e6, t.misses, t.reread, disk.median() / 1e3,
+                bench::shownRatio(bench::ratios(times, disk)).c_str());
+    std::fflush(stdout);
+    (sorted ? result.sorted : result.immediate).emplace_back(blocks, times.median() / 1e3);
+    if (blocks != 3) return;
+    (sorted ? result.sorted_at_three : result.immediate_at_three) = times.median();
+    if (sorted) result.disk_at_three = disk.median();
+  };
+  for (const std::size_t blocks : sorted_blocks) row(ExecutionOrder::sorted, blocks);
+  for (const std::size_t blocks : immediate_blocks) row(ExecutionOrder::immediate, blocks);
+  std::printf(
+      "\nWith a cache of 3 blocks the order of the blocks is %.0f times faster than hit by hit, and takes %.2f times "
+      "what the disk needs for the bytes. The pictures are %s; sorted, %s.\n\n",
+      result.immediate_at_three / result.sorted_at_three, result.sorted_at_three / result.disk_at_three,
+      result.same ? "the same, bit for bit" : "NOT THE SAME",
+      result.once ? "every block is read once" : "SOME BLOCKS ARE READ AGAIN");
+  return result;
+}
+
+/// What a field's stores hold.
+struct Contents {
+  explicit Contents(const fs::path& folder) : manifest(readManifest(folder)) {
+    for (const StoredView& view : manifest.views) {
+      const ReflectanceStore store(folder / view.file);
+      const StoreGeometry& g = store.geometry();
+      for (int y = 0; y < g.cropHeight(); ++y)
+        for (int x = 0; x < g.cropWidth(); ++x) texels += store.coverage().at(x, y) > 0;
+      tiles += g.allTiles(), index += static_cast<double>(store.bytesInMemory()), block = g.blockBytes();
+      bytes += static_cast<double>(store.bytesOnDisk());
+    }
+    halves = 6.0 * static_cast<double>(manifest.lights.size()) * texels;
+  }
+  SrfManifest manifest;
+  double texels = 0, tiles = 0, index = 0, bytes = 0;  ///< texels that are covered
+  double halves = 0;                                   ///< bytes of these as half floats
+  std::size_t block = 0;                               ///< bytes
 };
 
 /// Time against the size of the cache, both axes logarithmic.
@@ -243,134 +358,138 @@ int main(int argc, char** argv) {
   using namespace srf;
   Program program("out-of-core-benchmark", "renders a field larger than memory, sorted and hit by hit");
   std::string work, plot;
-  Extent extent;
-  int size = 256, repeats = 3;
+  int views = 36, size = 256, repeats = 3, pca_repeats = 11;
   double share = 10;
   program.app().add_option("FOLDER", work, "where the fields are kept; on the disk that is measured")->required();
   program.app().add_option("--plot", plot, "curve of time against cache size (.svg)");
-  program.app().add_option("--views", extent.views, "of the field");
-  program.app().add_option("--lights", extent.lights, "of the field");
-  program.app().add_option("--field-size", extent.size, "pixels across a photograph");
+  program.app().add_option("--views", views, "of the field that is larger than memory");
   program.app().add_option("--size", size, "pixels across the picture");
-  program.app().add_option("--repeats", repeats, "timed frames of what is short");
+  program.app().add_option("--repeats", repeats, "timed frames from the disk");
+  program.app().add_option("--pca-repeats", pca_repeats, "timed frames of each kind of block");
   program.app().add_option("--share", share, "bytes of the field for each byte of memory allowed");
   return program.run(argc, argv, [&](Reporter& reporter) {
-    const fs::path lossless = fs::path(work) / "lossless.srf", pca = fs::path(work) / "pca.srf";
-    const auto seconds = [](double ms) { return ms / 1e3; };
-    const double make_lossless = bench::milliseconds([&] { makeField(lossless, extent, Compression::lossless); });
-    const double make_pca = bench::milliseconds([&] { makeField(pca, extent, Compression::pca); });
-    const std::uint64_t bytes = bytesOf(lossless), pca_bytes = bytesOf(pca);
+    const auto in = [&](const char* name) { return fs::path(work) / name; };
+    const Extent large{views, 100, 512}, small{12, 100, 256};
+    makeField(in("lossless.srf"), large, Compression::lossless, noisy);
+    makeAgain(in("halves.srf"), in("lossless.srf"), Compression::none, 3);
+    makeField(in("clean.srf"), small, Compression::lossless, clean);
+    makeField(in("noisy.srf"), small, Compression::lossless, noisy);
+    makeAgain(in("pca.srf"), in("noisy.srf"), Compression::pca);
 
+    const Contents lossless(in("lossless.srf")), halves(in("halves.srf"));
     // What the program may allocate from now on, all in all; what is larger fails. Files mapped read-only do not count.
-    const auto limit = static_cast<rlim_t>(static_cast<double>(bytes) / share);
-    const rlimit data{limit, limit};
-    if (::setrlimit(RLIMIT_DATA, &data) != 0) throw Error(ErrorKind::failed, "setrlimit(RLIMIT_DATA) failed", "");
-
-    const SrfManifest manifest = readManifest(lossless), pca_manifest = readManifest(pca);
-    std::size_t covered = 0, tiles = 0, index = 0, block = 0;
-    for (const StoredView& view : manifest.views) {
-      const ReflectanceStore store(lossless / view.file);
-      const StoreGeometry& g = store.geometry();
-      for (int y = 0; y < g.cropHeight(); ++y)
-        for (int x = 0; x < g.cropWidth(); ++x) covered += store.coverage().at(x, y) > 0;
-      tiles += g.allTiles(), index += store.bytesInMemory(), block = g.blockBytes();
-    }
-    Bench one(lossless, manifest, size, reporter);
-    const std::size_t memory = limit / 2;  // the rest: threads' stacks, the model, Embree's tree
-
+    const auto limit = static_cast<rlim_t>(std::min(lossless.bytes, halves.bytes) / share);
+    // Small stacks: those of sixteen readers, 8 MiB each by default, would be most of it.
+    pthread_attr_t attributes;
+    pthread_attr_init(&attributes);
+    pthread_attr_setstacksize(&attributes, std::size_t{256} << 10);
+    pthread_setattr_default_np(&attributes);
+    pthread_attr_destroy(&attributes);
+    // What one thread has freed serves the others too, instead of lying in an arena of its own.
+    ::mallopt(M_ARENA_MAX, 1);
+    const rlimit allowed{limit, RLIM_INFINITY};
+    if (::setrlimit(RLIMIT_DATA, &allowed) != 0) throw Error(ErrorKind::failed, "setrlimit(RLIMIT_DATA) failed", "");
     std::printf(
-        "%s, %d threads; %d views x %d lights x %d x %d pixels: %.2f GB lossless, %.2f GB of covered texels as half "
-        "floats; a block is %zu KiB. Allowed: %.0f MB of data (RLIMIT_DATA), %.1f times less than the field. Reads go "
-        "past the system's cache of files (O_DIRECT). Picture: %d x %d, a sphere twisted by 120 degrees a radius, "
-        "128 lights.\n\n",
-        bench::processorName().c_str(), threadCount(), extent.views, extent.lights, extent.size, extent.size,
-        bytes / 1e9, 6e-9 * extent.lights * static_cast<double>(covered), block >> 10, limit / 1e6,
-        static_cast<double>(bytes) / static_cast<double>(limit), size, size);
-    std::printf(
-        "| order | cache, blocks | s a frame | MB read | blocks read | of these again | requests | the disk alone, s | "
-        "ratio |\n"
-        "|---|---|---|---|---|---|---|---|---|\n");
-    std::vector<std::pair<double, double>> sorted_curve, immediate_curve;
-    std::optional<Frame> reference;
-    bool same = true;
-    double at_three[2] = {0, 0}, disk_at_three = 0;
-    const auto row = [&](const char* name, std::size_t blocks, const Timing& t, const bench::Series& s, double disk) {
-      if (!reference) reference = t.frame;
-      same = same && reference->rgba.data() == t.frame.rgba.data();
-      std::printf("| %s | %zu | %.2f (%.2f .. %.2f) | %.0f | %.0f | %.0f | %.0f | %.2f | %.2f |\n", name, blocks,
-                  seconds(s.median()), seconds(s.at(0)), seconds(s.at(1)), t.read / 1e6, t.misses, t.reread, t.requests,
-                  seconds(disk), s.median() / disk);
-      std::fflush(stdout);
+        "%s, %d threads. Allowed: %.0f MB of data (RLIMIT_DATA), of which the program's libraries take %.0f before it "
+        "does anything. Reads go past the system's cache of files (O_DIRECT); the disk alone: as many bytes in 16 "
+        "requests of 128 KiB at a time. Picture: %d x %d, the finest level of the photographs, a sphere twisted by 120 "
+        "degrees a radius, 128 lights.\n\n",
+        bench::processorName().c_str(), threadCount(), limit / 1e6, dataBytes() / 1e6, size, size);
+    const auto describe = [&](const char* how, const Contents& field) {
+      std::printf(
+          "%s: %zu views x %zu lights x 512 x 512 pixels, %.2f GB, %.1f times what is allowed; a block is %zu KiB"
+          " of half floats.\n\n",
+          how, field.manifest.views.size(), field.manifest.lights.size(), field.bytes / 1e9,
+          field.bytes / static_cast<double>(limit), field.block >> 10);
     };
-    for (const std::size_t blocks : {1, 3, 10, 30, 100, 200}) {
-      bench::Series s, disk;
-      Timing t;
-      for (int i = 0; i < repeats; ++i) {
-        t = one.frame(lossless, manifest, blocks * block, ExecutionOrder::sorted, true, memory);
-        s.add(t.milliseconds);
-        disk.add(bareDisk(lossless, static_cast<std::uint64_t>(t.read)));
-      }
-      row("sorted", blocks, t, s, disk.median());
-      sorted_curve.emplace_back(blocks, seconds(s.median()));
-      if (blocks == 3) at_three[0] = s.median(), disk_at_three = disk.median();
+    Streamed streamed;
+    // What is left is for blocks and operations: the renderer takes off what is resident and an eighth.
+    const auto left = [&] { return limit - std::min<std::size_t>(limit, dataBytes() + (std::size_t{40} << 20)); };
+    {
+      Bench one(lossless.manifest, size, 0, reporter);
+      one.settings.memory_bytes = (residentBytes() + left()) * 8 / 7;
+      describe("Lossless blocks", lossless);
+      static constexpr std::size_t kSorted[] = {1, 3, 10, 30, 100}, kImmediate[] = {3, 10, 30, 100};
+      streamed = stream(one, in("lossless.srf"), lossless.manifest, lossless.block, repeats, kSorted, kImmediate);
     }
-    for (const std::size_t blocks : {3, 30, 200}) {
-      const Timing t = one.frame(lossless, manifest, blocks * block, ExecutionOrder::immediate, true, memory);
-      bench::Series s;
-      s.add(t.milliseconds);
-      row("hit by hit", blocks, t, s, bareDisk(lossless, static_cast<std::uint64_t>(t.read)));
-      immediate_curve.emplace_back(blocks, seconds(t.milliseconds));
-      if (blocks == 3) at_three[1] = t.milliseconds;
+    {
+      Bench one(halves.manifest, size, 0, reporter);
+      one.settings.memory_bytes = (residentBytes() + left()) * 8 / 7;
+      describe("Blocks as they are", halves);
+      static constexpr std::size_t kThree[] = {3};
+      stream(one, in("halves.srf"), halves.manifest, halves.block, repeats, kThree, kThree);
     }
-    std::printf(
-        "\nWith a cache of 3 blocks the order of the blocks is %.0f times faster than hit by hit, and takes %.2f times "
-        "what the disk needs for the bytes. The pictures are %s. Most memory resident: %.0f MB.\n\n",
-        at_three[1] / at_three[0], at_three[0] / disk_at_three, same ? "the same, bit for bit" : "NOT THE SAME", [] {
-          rusage usage{};
-          getrusage(RUSAGE_SELF, &usage);
-          return usage.ru_maxrss * 1024 / 1e6;
-        }());
+    rusage usage{};
+    ::getrusage(RUSAGE_SELF, &usage);
+    std::printf("Most memory resident so far, libraries and all: %.0f MB.\n\n", usage.ru_maxrss * 1024 / 1e6);
+    const rlimit lifted{RLIM_INFINITY, RLIM_INFINITY};
+    ::setrlimit(RLIMIT_DATA, &lifted);
+    if (!plot.empty())
+      draw(plot, {{"hit by hit", streamed.immediate}, {"sorted", streamed.sorted}}, streamed.disk_at_three / 1e3);
 
-    std::printf("## Principal components\n\n| | lossless | principal components | ratio |\n|---|---|---|---|\n");
-    const auto compare = [&](const char* name, double a, double b) {
-      std::printf("| %s | %.2f | %.2f | %.1f |\n", name, a, b, a / b);
-    };
-    compare("GB on disk", bytes / 1e9, pca_bytes / 1e9);
-    bench::Series times[2], executions[2];
-    Timing kept[2];
-    for (int i = 0; i < repeats; ++i)
-      for (int k = 0; k < 2; ++k) {
-        kept[k] =
-            one.frame(k ? pca : lossless, k ? pca_manifest : manifest, 3 * block, ExecutionOrder::sorted, true, memory);
-        times[k].add(seconds(kept[k].milliseconds));
+    const Contents truth(in("clean.srf")), noise(in("noisy.srf")), pca(in("pca.srf"));
+    Bench one(truth.manifest, size, FrameSettings().accuracy.texels, reporter);
+    one.settings.memory_bytes = std::size_t{4} << 30;
+    std::printf(
+        "### Principal components\n\n%zu views x %zu lights x 256 x 256 pixels with noise of 2 %% at white. Frames in "
+        "turn, %d of each kind.\n\n| | lossless | principal components | ratio |\n|---|---|---|---|\n",
+        noise.manifest.views.size(), noise.manifest.lights.size(), pca_repeats);
+    std::printf("| MB on disk with all levels | %.1f | %.1f | %.1f |\n", noise.bytes / 1e6, pca.bytes / 1e6,
+                noise.bytes / pca.bytes);
+    std::printf("| covered texels as half floats over that | %.1f | %.1f | |\n", noise.halves / noise.bytes,
+                noise.halves / pca.bytes);
+    const fs::path folders[] = {in("noisy.srf"), in("pca.srf")};
+    const SrfManifest* manifests[] = {&noise.manifest, &pca.manifest};
+    for (const bool warm : {false, true}) {
+      one.settings.direct_reads = !warm;
+      one.settings.cache_bytes.reset();
+      if (!warm) one.settings.cache_bytes = 3 * noise.block;
+      bench::Series frames[2], executions[2];
+      Timing last[2];
+      for (int i = 0; i < pca_repeats; ++i)
+        for (int k = 0; k < 2; ++k) {
+          last[k] = one.frame(folders[k], *manifests[k], warm);
+          frames[k].add(last[k].milliseconds), executions[k].add(last[k].execute);
+        }
+      const auto compare = [&](const std::string& name, const bench::Series* of) {
+        std::printf("| %s | %s | %s | %s |\n", name.c_str(), bench::shown(of[0]).c_str(), bench::shown(of[1]).c_str(),
+                    bench::shownRatio(bench::ratios(of[0], of[1])).c_str());
+      };
+      const std::string where = warm ? ", in memory" : ", from the disk through 3 blocks";
+      compare("ms a frame" + where, frames);
+      compare("of it products with the blocks" + where, executions);
+      if (warm) {
+        const Frame exact = one.frame(in("clean.srf"), truth.manifest).frame;
+        const double errors[] = {pictureDistance(last[0].frame, exact), pictureDistance(last[1].frame, exact)};
+        std::printf("| the frame's error against that of a field without noise, %% | %.3f | %.3f | %+.2f dB |\n",
+                    100 * errors[0], 100 * errors[1], 20 * std::log10(errors[1] / errors[0]));
       }
-    compare("s a frame from the disk, 3 blocks", times[0].median(), times[1].median());
-    compare("MB read for it", kept[0].read / 1e6, kept[1].read / 1e6);
-    std::printf(
-        "\nGB of covered texels as half floats over GB on disk (with all levels): %.1f lossless, %.1f principal "
-        "components. The pictures differ by %.2f %% (root mean square), noise and all.\n\n",
-        6e-9 * extent.lights * covered / (bytes / 1e9), 6e-9 * extent.lights * covered / (pca_bytes / 1e9),
-        100 * pictureDistance(kept[1].frame, kept[0].frame));
+    }
 
     std::printf(
-        "## 300 views x 100 lights x 1 megapixel, extrapolated\n\n"
+        "\n### 300 views x 100 lights x 1 megapixel, extrapolated\n\n"
         "| | measured here | for each | there (40 %% of the pixels are the object's) |\n|---|---|---|---|\n");
-    const double texels = static_cast<double>(covered), there = 300 * 0.4e6, light_share = 100.0 / extent.lights;
-    std::printf("| lossless | %.2f GB | %.0f bytes a covered texel | %.0f GB |\n", bytes / 1e9, bytes / texels,
-                bytes / texels * there * light_share / 1e9);
-    std::printf("| principal components | %.2f GB | %.0f bytes a covered texel | %.1f GB |\n", pca_bytes / 1e9,
-                pca_bytes / texels, pca_bytes / texels * there * light_share / 1e9);
-    std::printf("| written, lossless | %.0f s | %.2f us a texel, one thread | %.0f s |\n", seconds(make_lossless),
-                1e3 * make_lossless / texels, make_lossless / texels * there * light_share / 1e3);
-    std::printf("| written, principal components | %.0f s | %.2f us a texel, one thread | %.0f s |\n",
-                seconds(make_pca), 1e3 * make_pca / texels, make_pca / texels * there * light_share / 1e3);
-    std::printf("| indices and coverage in memory | %.2f MB | %.1f bytes a tile | %.0f MB |\n", index / 1e6,
-                static_cast<double>(index) / tiles,
-                static_cast<double>(index) / tiles * (300.0 * 64 * 64 * 4 / 3) / 1e6);
+    const double there = 300 * 0.4e6;
+    for (const bool as_pca : {false, true}) {
+      const char* name = as_pca ? "principal components" : "lossless";
+      const Contents& field = as_pca ? pca : lossless;
+      std::printf("| %s | %.0f MB | %.0f bytes a covered texel | %.0f GB |\n", name, field.bytes / 1e6,
+                  field.bytes / field.texels, field.bytes / field.texels * there / 1e9);
+      const fs::path again = in("again.blk");
+      const double taken = bench::milliseconds([&] {
+        writeAgain(in("halves.srf") / halves.manifest.views[0].file, again,
+                   as_pca ? Compression::pca : Compression::lossless);
+      });
+      fs::remove(again);
+      const double texels = halves.texels / static_cast<double>(halves.manifest.views.size());
+      std::printf("| a view's blocks written, %s | %.2f s | %.2f us a covered texel, one thread | %.0f s |\n", name,
+                  taken / 1e3, 1e3 * taken / texels, taken / texels * there / 1e3);
+    }
+    std::printf("| indices and coverage in memory | %.2f MB | %.1f bytes a tile | %.0f MB |\n", lossless.index / 1e6,
+                lossless.index / lossless.tiles, lossless.index / lossless.tiles * (300.0 * 64 * 64 * 4 / 3) / 1e6);
     std::printf(
         "| visibility | | one bit a point and view, and with a fit one a point and light | %.0f MB for a million "
         "points |\n",
         1e6 * (300 + 100) / 8 / 1e6);
-    if (!plot.empty()) draw(plot, {{"hit by hit", immediate_curve}, {"sorted", sorted_curve}}, seconds(disk_at_three));
   });
 }

@@ -12,6 +12,7 @@
 
 #include "base/error.h"
 #include "base/half.h"
+#include "base/memory.h"
 #include "base/parallel.h"
 #include "field/bilinear_fetch.h"
 
@@ -86,6 +87,7 @@ class FitSamples::Buffer {
     data_ = ::mmap(nullptr, bytes_, PROT_READ | PROT_WRITE,
                    descriptor < 0 ? MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE : MAP_SHARED, descriptor, 0);
     const int code = errno;
+    is_file_ = descriptor >= 0;
     if (descriptor >= 0) ::close(descriptor);
     if (data_ == MAP_FAILED)
       throw Error(ErrorKind::out_of_budget,
@@ -98,11 +100,21 @@ class FitSamples::Buffer {
   Buffer(const Buffer&) = delete;
   Buffer& operator=(const Buffer&) = delete;
   std::uint16_t* data() const { return static_cast<std::uint16_t*>(data_); }
+  bool isFile() const { return is_file_; }
+  /// The file's pages leave this process; they come back, with what was written to them, where they are asked for.
+  void letGo() const { ::madvise(data_, bytes_, MADV_DONTNEED); }
 
  private:
   void* data_ = nullptr;
   std::size_t bytes_;
+  bool is_file_ = false;
 };
+
+void FitSamples::keepMemory() const {
+  constexpr std::uint32_t kEvery = 64;
+  if (most_resident_ == 0 || asked_.fetch_add(1, std::memory_order_relaxed) % kEvery != 0) return;
+  if (residentBytes() > most_resident_) buffer_->letGo();
+}
 
 FitSamples::FitSamples(const std::filesystem::path& srf_folder, const SrfManifest& field, const DeformableModel& model,
                        std::span<const Direction<AcquisitionSpace>> normals, const SampleOptions& options,
@@ -124,8 +136,12 @@ FitSamples::FitSamples(const std::filesystem::path& srf_folder, const SrfManifes
     base_.push_back(halves);
     halves += static_cast<std::size_t>(count_[v]) * 3 * pad_[v];
   }
-  buffer_ = std::make_unique<Buffer>(2 * halves, options.memory_bytes, srf_folder);
+  buffer_ = std::make_unique<Buffer>(2 * halves, memoryLeft(options.memory_bytes) / 2, srf_folder);
   values_ = buffer_->data();
+  // An eighth is for what comes besides. With a budget that is spent already some samples must be there all the same.
+  constexpr std::size_t kLeast = std::size_t{16} << 20;
+  if (buffer_->isFile())
+    most_resident_ = std::max(options.memory_bytes - options.memory_bytes / 8, residentBytes() + kLeast);
   gather(field, model, reporter);
   stores_.clear();
 }
@@ -239,6 +255,7 @@ void FitSamples::gather(const SrfManifest& field, const DeformableModel& model, 
         }
         // Un-premultiplying may lift a value over the range of halves.
         for (float& value : sum) value = std::min(value, 65504.f);
+        keepMemory();
         std::uint16_t* to = values_ + base_[v] + static_cast<std::size_t>(rank) * 3 * pad;
         for (int c = 0; c < 3; ++c)
           halvesFromFloats(&sum[static_cast<std::size_t>(c) * g.lightPad()], to + c * pad, pad);

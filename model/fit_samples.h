@@ -2,6 +2,7 @@
 // view in one pass over the field, every block decoded at most once.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -16,8 +17,10 @@
 namespace srf {
 
 struct SampleOptions {
-  std::size_t memory_bytes = std::size_t{2} << 30;  ///< beyond it the samples lie in an unlinked file beside the field
-  int most_views = 24;                              ///< of a point
+  /// Of the whole process. Samples that need more than half of what is left of it lie in an unlinked file beside the
+  /// field, of which no more than there is room for stays in memory.
+  std::size_t memory_bytes = std::size_t{2} << 30;
+  int most_views = 24;  ///< of a point
 };
 
 class FitSamples {
@@ -38,6 +41,7 @@ class FitSamples {
   }
   /// Radiance as photographed, un-premultiplied, half[3][pad(view)]: channel, light of the view's list; 0 beyond it.
   const std::uint16_t* values(const PointView& at) const {
+    keepMemory();
     return values_ + base_[at.view] + static_cast<std::size_t>(at.rank) * 3 * pad(at.view);
   }
   int pad(std::uint32_t view) const { return pad_[view]; }
@@ -48,6 +52,8 @@ class FitSamples {
 
  private:
   class Buffer;
+  /// Called now and then: what the file's samples take of the memory is given back where the process holds too much.
+  void keepMemory() const;
   void choose(const SrfManifest& field, const DeformableModel& model,
               std::span<const Direction<AcquisitionSpace>> normals, int most_views, Reporter& reporter);
   void gather(const SrfManifest& field, const DeformableModel& model, Reporter& reporter);
@@ -60,6 +66,8 @@ class FitSamples {
   std::vector<std::size_t> base_;     ///< of each view, in halves
   std::vector<std::uint32_t> count_;  ///< of each view: points
   std::unique_ptr<Buffer> buffer_;
+  std::size_t most_resident_ = 0;                ///< bytes of the process, where the samples lie in a file; else 0
+  mutable std::atomic<std::uint32_t> asked_{0};  ///< how often for memory
   std::uint16_t* values_ = nullptr;
   double saturation_ = 0;
   std::uint64_t blocks_decoded_ = 0;

@@ -312,6 +312,11 @@ void dropNarrow(VisibilityBits& bits, const std::vector<Triangle>& triangles) {
   step(std::bit_or<>());
 }
 
+/// Squares of a point's errors and samples, weighted.
+struct PointError {
+  double plain = 0, guided = 0, square = 0;
+};
+
 // The squared error with the residuals that the point takes.
 double guidedError(const HoldoutError::Case& e, const FittedPoint& point) {
   return lerp(e.in_light.lit, e.in_light.indirect, double{point.indirect}) +
@@ -374,7 +379,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   if (is_hull) correctHull(input, materials, normals, visibility, reporter);
   fit.points.resize(model.size());
   fit.worse = VisibilityBits(model.size(), field.lights.size());
-  std::vector<HoldoutError> errors(model.size());
+  std::vector<PointError> errors(model.size());
   {
     Reporter::Stage stage(reporter, "fit: coefficients", model.size());
     parallelFor(model.size(), kChunk, [&](std::size_t begin, std::size_t end) {
@@ -391,7 +396,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
         point.fit(fitted.reflectance, kRounds, lobe.pays);
         for (float& kf : fitted.reflectance.coefficient[3]) kf = std::min(kf, lobe.most_fresnel);
         point.evaluate(fitted.reflectance, values);
-        HoldoutError e = hold_out(input, point, values);
+        const HoldoutError e = hold_out(input, point, values);
         // The residual of all lights only where it is clearly the better one.
         const auto all_lights = [](const HoldoutError::Part& part) {
           return part.lit > 0 ? static_cast<float>(smoothstep(0, 0.1, 1 - std::sqrt(part.indirect / part.lit))) : 0.f;
@@ -422,20 +427,15 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
           if (is_hull && (harmed(cases.light, e.all.light) || harmed(cases.both, e.all.both) ||
                           harmed(cases.view, e.all.view) || harmed(cases.beside, e.all.beside)))
             fit.worse.set(i, light.value);
-        e.by_light = {};
-        errors[i] = std::move(e);
+        errors[i] = {e.all.light.plain, lerp(e.all.light.plain, guidedError(e.all.light, fitted), double{fitted.gate}),
+                     e.square};
       }
       stage.advance(end - begin);
     });
   }
   dropNarrow(fit.worse, model.triangles);
   double plain = 0, guided = 0, square = 0;
-  for (std::size_t i = 0; i < model.size(); ++i) {
-    plain += errors[i].all.light.plain;
-    guided +=
-        lerp(errors[i].all.light.plain, guidedError(errors[i].all.light, fit.points[i]), double{fit.points[i].gate});
-    square += errors[i].square;
-  }
+  for (const PointError& error : errors) plain += error.plain, guided += error.guided, square += error.square;
   if (square > 0) fit.error_plain = std::sqrt(plain / square), fit.error_guided = std::sqrt(guided / square);
   fit.lit = std::move(visibility.lit);
   fit.lit_by_rays = std::move(visibility.lit_by_rays);

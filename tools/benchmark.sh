@@ -78,6 +78,14 @@ fi
   echo "| capture | bare decoding | whole check | of it the photographs | check over decoding |"
   echo "|---|---|---|---|---|"
   build/release/bench/check_benchmark "$work/many"
+  echo
+  echo "## A field larger than memory"
+  echo
+  mkdir -p "$work/fields"
+  # Threads' stacks count as data too: small ones.
+  (ulimit -s 512 && build/release/bench/out_of_core_benchmark "$work/fields" --plot doc/images/out_of_core.svg)
+  echo
+  echo "![Seconds a frame against the blocks in the cache, lossless blocks](images/out_of_core.svg)"
   # Python with mitsuba and numpy, where there is one: see the program's own text.
   if [[ -n ${MITSUBA_PYTHON:-} ]]; then
     "$srf" model "$work/bumpy.srf" --export "$work/bumpy.ply" > /dev/null

@@ -4,6 +4,7 @@
 
 #include "base/image_io.h"
 #include "base/numeric.h"
+#include "base/parallel.h"
 #include "field/reflectance_store.h"
 
 namespace srf::test {
@@ -57,8 +58,9 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
     }
     manifest.lights.push_back(light);
   }
-  for (int i = 0; i < options.views; ++i) {
-    StoredView view;
+  manifest.views.resize(options.views);
+  const auto make_view = [&](int i) {
+    StoredView& view = manifest.views[i];
     view.name = "v" + std::to_string(i);
     view.camera.lens = pinholeFromFov(options.size, options.size, 33);
     const Vec3 eye = options.view_distance * fibonacci(i, options.views);
@@ -103,8 +105,11 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
       if (covered) writer.writeTile(t % geometry.tiles_x, t / geometry.tiles_x, tiles[t]);
     }
     view.hash = writer.commit();
-    manifest.views.push_back(view);
-  }
+  };
+  const auto views = static_cast<std::size_t>(options.views);
+  parallelFor(views, options.parallel ? 1 : views, [&](std::size_t first, std::size_t last) {
+    for (std::size_t i = first; i < last; ++i) make_view(static_cast<int>(i));
+  });
   writeManifest(srf_folder, manifest);
   AcquisitionMesh sphere = unitSphere(options.subdivision);
   for (auto& p : sphere.positions) p = Point<AcquisitionSpace>(options.middle + options.radius * p.raw());

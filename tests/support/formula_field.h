@@ -25,6 +25,7 @@ struct FormulaFieldOptions {
   ModelOptions model;
   bool levels = false;  ///< coarser ones of each view
   StoreCoding coding;
+  bool parallel = false;  ///< the formula may be asked by several threads at once
 };
 
 struct FormulaField {
