@@ -32,7 +32,11 @@ constexpr float kFresnelSpread = 2;          // ... over this
 // Of plain's squared error under one light, and of its mean over the lights: more than both together is harm.
 constexpr double kHarm = 1.1, kSlack = 0.05;
 constexpr int kDoubtedLights = 2;  // more in shadow, so that one alone tells little
-constexpr int kRounds = 3;         // of robust weights
+// Of a point's light under all lights together: lost in shadow; and the lights that lose it, weighed by how much: a
+// highlight or a lit surface that a pixel's blur carries into the shadow is under one to four.
+constexpr double kLostLittle = 0.1, kLostMuch = 0.2;
+constexpr double kFewLose = 5, kManyLose = 8;
+constexpr int kRounds = 3;  // of robust weights
 constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
 
 struct Roughness {
@@ -323,6 +327,24 @@ double guidedError(const HoldoutError::Case& e, const FittedPoint& point) {
          lerp(e.in_shadow.lit, e.in_shadow.indirect, double{point.indirect_shadow});
 }
 
+// Whether the residual of all lights is clearly the better one, where both leave a squared error: 1 at `enough` less.
+double muchLess(double indirect, double lit, double enough) {
+  return lit > 0 ? smoothstep(0, enough, 1 - std::sqrt(indirect / lit)) : 0;
+}
+
+// How far the residual of all lights is needed in shadow for the sum over many lights to hold: the little that each of
+// many gives indirectly, which outlines under a few hide in the errors of lights one by one.
+double neededForSum(const HoldoutError& error) {
+  double value = 0, lit = 0, indirect = 0;
+  for (const HoldoutError::Sum& sum : error.sums) {
+    value += sum.weight * square(sum.value);
+    lit += sum.weight * square(sum.lit), indirect += sum.weight * square(sum.indirect);
+  }
+  if (!(lit > 0 && value > 0)) return 0;
+  return smoothstep(kLostLittle, kLostMuch, std::sqrt(lit / value)) *
+         smoothstep(kFewLose, kManyLose, lit / error.all.light.in_shadow.lit) * muchLess(indirect, lit, 0.5);
+}
+
 }  // namespace
 
 std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_folder, const SrfManifest& field,
@@ -398,17 +420,16 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
         point.evaluate(fitted.reflectance, values);
         const HoldoutError e = hold_out(input, point, values);
         // The residual of all lights only where it is clearly the better one.
-        const auto all_lights = [](const HoldoutError::Part& part) {
-          return part.lit > 0 ? static_cast<float>(smoothstep(0, 0.1, 1 - std::sqrt(part.indirect / part.lit))) : 0.f;
-        };
-        fitted.indirect = all_lights(e.all.light.in_light);
+        const auto all_lights = [](const HoldoutError::Part& part) { return muchLess(part.indirect, part.lit, 0.1); };
+        fitted.indirect = static_cast<float>(all_lights(e.all.light.in_light));
         // Indirect light is in most shadows of one kind, those that fall on the point or the surface's own; what is in
         // a few is the outline of a shadow that a pixel has blurred.
         const auto share = [](const HoldoutError::Count& count) {
           return count.for_indirect / static_cast<double>(count.lights + kDoubtedLights);
         };
-        fitted.indirect_shadow = all_lights(e.all.light.in_shadow) *
-                                 static_cast<float>(smoothstep(0.2, 0.4, std::max(share(e.hidden), share(e.averted))));
+        const double by_lights =
+            all_lights(e.all.light.in_shadow) * smoothstep(0.2, 0.4, std::max(share(e.hidden), share(e.averted)));
+        fitted.indirect_shadow = static_cast<float>(std::max(by_lights, neededForSum(e)));
         // Never worse than plain: 1 where guidance helps by 10 %, 0 where it harms by 5 %; under a captured light,
         // where both return the photographs of a matt surface, 1 where it does not harm.
         const auto gate = [&](const HoldoutError::Case& of, double open) {

@@ -125,6 +125,7 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
     for (int k = 0; k < lights.count; ++k)
       usable_[k] = (any_around ? lights.around[k] : lights.lit[k]) *
                    static_cast<float>(smoothstep(kLowest, kLowEnough, lights.cosine[k]));
+    for (std::vector<float>* row : {&value_sum_, &lit_sum_, &indirect_sum_}) row->assign(half_, 0.f);
     for (int i = 0; i < lights.count; ++i) {
       if (!known(i)) continue;
       nearest(list, lights, i, plain_);
@@ -178,7 +179,12 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       };
       const Sum by_light = sum(0);
       float square = 0;
-      for (int x = 0; x < half_; ++x) square += weight[x] * value[x] * value[x];
+      for (int x = 0; x < half_; ++x) square += weight[x] * value[x] * value[x], value_sum_[x] += weight[x] * value[x];
+      if (const float hidden = 1 - visible; hidden > 0)
+        for (int x = 0; x < half_; ++x) {
+          lit_sum_[x] += hidden * weight[x] * (lit_row_[x] - value[x]);
+          indirect_sum_[x] += hidden * weight[x] * (indirect_row_[x] - value[x]);
+        }
       error.square += square;
       const auto note = [&](HoldoutError::Case& to, const Sum& s) {
         to.plain += s.plain;
@@ -207,6 +213,10 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       }
       cases.view.plain = plain, cases.view.in_light.lit = guided;
     }
+    for (int v = 0; v < static_cast<int>(views_.size()); ++v)
+      if (const float w = views_[v]->cosine; w > 0)
+        for (int x = kChannels * v; x < kChannels * v + 3; ++x)
+          error.sums.push_back({w, value_sum_[x] / w, lit_sum_[x] / w, indirect_sum_[x] / w});
   }
   for (const auto& [id, cases] : error.by_light) error.all += cases;
   return error;

@@ -47,6 +47,14 @@ struct HoldoutError {
   };
   Count hidden;   ///< lights that the surface faces
   Count averted;  ///< lights well behind it: a bowl may hide indirect light from these alone
+  /// Of one channel of one view, over all lights left out one at a time: signed sums, since a sky's lights add up.
+  /// Errors of one sign, each too small to tell, grow so, while those along a shadow's blurred outline are few.
+  struct Sum {
+    float weight = 0;             ///< n.v
+    float value = 0;              ///< of the samples
+    float lit = 0, indirect = 0;  ///< errors, as of Part, under lights that do not light the point
+  };
+  std::vector<Sum> sums;
 };
 
 class SampleHoldout {
@@ -74,6 +82,7 @@ class SampleHoldout {
   std::vector<Penalised> candidates_;
   std::vector<Weighted> plain_, weights_;
   std::vector<float> usable_, plain_row_, lit_row_, indirect_row_;
+  std::vector<float> value_sum_, lit_sum_, indirect_sum_;  ///< HoldoutError::Sum, times n.v
 };
 
 }  // namespace srf

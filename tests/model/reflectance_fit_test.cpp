@@ -1,0 +1,51 @@
+#include "model/reflectance_fit.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <functional>
+
+#include "tests/support/formula_field.h"
+#include "tests/support/test_support.h"
+
+namespace srf {
+namespace {
+
+constexpr int kLights = 128;
+
+/// FittedPoint::indirect_shadow of a matt sphere, in the middle of its points, where a light behind the surface gives
+/// `hidden` of its number, times the cosine it stands behind it (the same from all would be taken for the camera's
+/// limit).
+float indirectInShadow(const std::function<double(int light)>& hidden) {
+  const test::TemporaryFolder folder;
+  test::FormulaFieldOptions options;
+  options.views = 8, options.lights = kLights, options.size = 32, options.subdivision = 3;
+  const test::FormulaField field =
+      test::makeSphereField(folder / "f.srf", options, [&](const Vec3& p, const Vec3& l, const Vec3&) {
+        const double cosine = dot(p, l);
+        if (cosine > 0) return 0.3 * cosine * Vec3{1, 1, 1};
+        const int light = static_cast<int>((1 - l.z) / 2 * kLights);  // of the sphere of lights, from top to bottom
+        return hidden(light) * -cosine * Vec3{1, 1, 1};
+      });
+  const auto fit = fitReflectance(field.folder, field.manifest, field.model, {}, Reporter::silent());
+  if (!fit) return -1;
+  std::vector<float> found;
+  for (const FittedPoint& point : fit->points) found.push_back(point.indirect_shadow);
+  std::nth_element(found.begin(), found.begin() + found.size() / 2, found.end());
+  return found[found.size() / 2];
+}
+
+// None of the nearest lights of those that give something: each by itself is foretold best as dark. A sky has them all,
+// and a quarter of its light would be lost.
+TEST(ReflectanceFit, WhatManyHiddenLightsGiveTogetherIsNotTakenForShadow) {
+  EXPECT_GT(indirectInShadow([](int light) { return light % 6 ? 0 : 0.8; }), 0.95);
+}
+
+TEST(ReflectanceFit, LittleLightOrThatOfFewHiddenLightsIsTakenForShadow) {
+  EXPECT_LT(indirectInShadow([](int light) { return light % 6 ? 0 : 0.08; }), 0.05);
+  // As much as above, by the blur of an outline.
+  EXPECT_LT(indirectInShadow([](int light) { return light % 30 ? 0 : 4.0; }), 0.05);
+}
+
+}  // namespace
+}  // namespace srf
