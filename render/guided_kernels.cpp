@@ -113,7 +113,8 @@ void keys(const std::array<float, 3>& n, const DirectionLanes& lights, const flo
   }
 }
 
-std::size_t largest(const float* key, std::size_t count, std::size_t most, std::uint32_t* position) {
+std::size_t largest(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
+                    std::int32_t& about) {
   // Not negative: as integers they are in the same order.
   const I d;
   const auto* bits = reinterpret_cast<const std::int32_t*>(key);
@@ -125,16 +126,23 @@ std::size_t largest(const float* key, std::size_t count, std::size_t most, std::
   };
   std::int32_t low = 1;
   if (at_least(low) > most) {
-    auto greatest = hn::Zero(d);
-    for (std::size_t i = 0; i < count; i += kLanes) greatest = hn::Max(greatest, hn::LoadU(d, bits + i));
-    std::int32_t high = hn::GetLane(hn::MaxOfLanes(d, greatest)) + 1;
     // More than `most` are at least `low`, fewer are at least `high`; until they are as many, or the rest are equal.
-    while (high - low > 1) {
-      const std::int32_t middle = low + (high - low) / 2;
+    // First in growing steps away from where it was last.
+    std::int32_t high = 0x7fffffff, step = 1 << 19;
+    bool up = false, down = false;
+    for (std::int32_t middle = std::clamp(about, 2, high - 1); high - low > 1;) {
       const std::size_t found = at_least(middle);
       (found >= most ? low : high) = middle;
       if (found == most) break;
+      (found > most ? up : down) = true;
+      if (up && down) {
+        middle = low + (high - low) / 2;
+      } else {
+        middle = up ? low + std::min(step, (high - low + 1) / 2) : high - std::min(step, (high - low + 1) / 2);
+        step = std::min(2 * step, 1 << 28);
+      }
     }
+    about = low;
   }
   std::size_t found = 0;
   for (std::size_t i = 0; i < count; i += kLanes)
@@ -148,16 +156,31 @@ std::size_t largest(const float* key, std::size_t count, std::size_t most, std::
   return found;
 }
 
+void shownTable(const float* lit, const float* facing, const float* disagree, std::size_t count, float* shown) {
+  const F f;
+  const V one = hn::Set(f, 1.f), zero = hn::Zero(f);
+  for (std::size_t i = 0; i < count; i += kLanes) {
+    const V light = hn::LoadU(f, lit + i), off = disagree ? hn::LoadU(f, disagree + i) : zero;
+    const V unasked = hn::IfThenElse(hn::Gt(hn::LoadU(f, facing + i), zero), light, one);
+    const V hidden = hn::Mul(off, light);
+    hn::StoreU(hn::MulAdd(off, hn::Sub(light, unasked), unasked), f, shown + i);
+    hn::StoreU(hidden, f, shown + count + i);
+    hn::StoreU(hn::Add(hn::Sub(one, off), hidden), f, shown + 2 * count + i);
+  }
+}
+
 void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& lights, const std::int8_t* sight,
-             const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count, std::uint32_t* facing,
-             float* shown_energy, std::size_t& facing_count, std::array<float, 3>& result) {
+             const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count, float* energy_about,
+             std::size_t& facing, std::array<float, 3>& result) {
   const F f;
   const I d;
   const hn::Rebind<std::int8_t, F> bytes;
+  const hn::FixedTag<float, 2> two;
+  const auto stride = hn::Set(d, static_cast<std::int32_t>(shadow.stride));
   V sum[3][kParts];
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
-  std::size_t found = 0;
+  facing = 0;
   for (std::size_t i = 0; i < count; i += kVectorLanes)
     for (std::size_t p = 0; p < kParts; ++p) {
       const std::size_t at = i + p * kLanes;
@@ -166,25 +189,23 @@ void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& l
       const V cosine = dot3(m.n, x, y, z), energy = hn::LoadU(f, lights.energy + at);
       const auto faces = hn::And(hn::Gt(cosine, hn::Zero(f)), hn::Gt(energy, hn::Zero(f)));
       if (hn::AllFalse(f, faces)) continue;
-      const auto seen = hn::PromoteTo(d, hn::LoadU(bytes, sight + at));
+      const auto row = hn::Add(hn::PromoteTo(d, hn::LoadU(bytes, sight + at)), hn::Set(d, 1));
       const auto near = hn::LoadU(d, reinterpret_cast<const std::int32_t*>(about) + at);
-      const auto not_asked = hn::MaskFromVec(hn::BitCast(f, hn::VecFromMask(d, hn::Lt(seen, hn::Zero(d)))));
-      V shown = hn::ConvertTo(f, seen);
-      if (shadow.asked)
-        shown = hn::MulAdd(shown, hn::GatherIndex(f, shadow.asked, near), hn::GatherIndex(f, shadow.offset, near));
-      if (!hn::AllFalse(f, not_asked))
-        shown = hn::IfThenElse(not_asked, hn::GatherIndex(f, shadow.unasked, near), shown);
-      shown = hn::IfThenElseZero(faces, shown);
-      hn::StoreU(hn::Mul(shown, energy), f, shown_energy + at);
-      for (unsigned rest = bitsOf(f, faces); rest; rest &= rest - 1)
-        facing[found++] = static_cast<std::uint32_t>(at + std::countr_zero(rest));
+      const V shown = hn::IfThenElseZero(faces, hn::GatherIndex(f, shadow.shown, hn::Add(hn::Mul(row, stride), near)));
+      alignas(64) float energies[2 * kLanes];
+      hn::StoreInterleaved2(hn::Mul(shown, energy), hn::IfThenElseZero(faces, energy), f, energies);
+      facing += hn::CountTrue(f, faces);
+      // Neighbours in turn to two places: lights side by side mostly lie about the same captured one. Without branches.
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        float* const to = energy_about + std::size_t{4} * about[at + lane] + 2 * (lane % 2);
+        hn::Store(hn::Add(hn::Load(two, to), hn::Load(two, energies + 2 * lane)), two, to);
+      }
       if (hn::AllTrue(f, hn::Eq(shown, hn::Zero(f)))) continue;
       const V counts = shadow.trusted ? hn::Mul(shown, hn::GatherIndex(f, shadow.trusted, near)) : shown;
       values(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
         sum[c][p] = hn::MulAdd(hn::Mul(counts, hn::LoadU(f, lights.irradiance[c] + at)), value, sum[c][p]);
       });
     }
-  facing_count = found;
   for (int c = 0; c < 3; ++c) result[c] = fold(sum[c]);
 }
 
@@ -214,77 +235,105 @@ void captured(const std::array<float, 3>& n, const CapturedLanes& lights, std::s
   }
 }
 
-void residual(const ResidualShares& s, const CapturedLanes& lights, float most_ratio, std::size_t count,
-              const std::array<float*, 3>& photograph, const std::array<float*, 3>& model) {
-  const F f;
-  const V zero = hn::Zero(f), one = hn::Set(f, 1.f);
-  struct Light {
-    V lit, amount_lit, as_is, irradiance[3];
-  };
-  const auto read = [&](std::size_t i) {
-    Light light;
-    const V all = hn::LoadU(f, s.all + i), shown = hn::Div(hn::LoadU(f, s.shown + i), all);
-    const auto some = hn::Gt(all, zero);
-    light.lit = hn::LoadU(f, s.lit + i);
-    light.amount_lit = hn::Mul(hn::LoadU(f, s.usable + i), hn::IfThenElse(some, shown, one));
-    light.as_is = s.as_is ? hn::MulAdd(hn::IfThenElse(some, shown, light.lit),
-                                       hn::Set(f, s.indirect - s.indirect_shadow), hn::Set(f, s.indirect_shadow))
-                          : zero;
-    for (int c = 0; c < 3; ++c)
-      light.irradiance[c] = hn::Mul(hn::LoadU(f, s.weight[c] + i), hn::LoadU(f, lights.irradiance[c] + i));
-    return light;
-  };
-  V standing[kParts], reaching[kParts];
-  for (std::size_t p = 0; p < kParts; ++p) standing[p] = reaching[p] = zero;
-  for (std::size_t i = 0; i < count; i += kVectorLanes)
-    for (std::size_t p = 0; p < kParts; ++p) {
-      const Light light = read(i + p * kLanes);
-      const V all = hn::Add(hn::Add(light.irradiance[0], light.irradiance[1]), light.irradiance[2]);
-      standing[p] = hn::MulAdd(light.amount_lit, all, standing[p]);
-      reaching[p] = hn::Add(reaching[p], hn::LoadU(f, s.shown + i + p * kLanes));
-    }
-  const float stands = fold(standing), reaches = fold(reaching);
-  const V scale = hn::Set(f, stands > 0 ? std::min(most_ratio, reaches / stands) : 0.f);
-  for (std::size_t i = 0; i < count; i += kLanes) {
-    const Light light = read(i);
-    const V known = hn::LoadU(f, lights.known + i), gate = hn::LoadU(f, s.gate + i);
-    const V from_lit = hn::Mul(gate, hn::Mul(hn::Mul(hn::Sub(one, light.as_is), scale), light.amount_lit));
-    const V from_all = hn::Mul(gate, light.as_is);
-    const V given = hn::Mul(known, hn::Add(hn::Add(from_lit, from_all), hn::Sub(one, gate)));
-    const V taken = hn::Mul(known, hn::MulAdd(from_all, light.lit, from_lit));
-    for (int c = 0; c < 3; ++c) {
-      hn::StoreU(hn::Mul(given, light.irradiance[c]), f, photograph[c] + i);
-      hn::StoreU(hn::Mul(taken, light.irradiance[c]), f, model[c] + i);
+/// The lanes of `of` that are set, one after the other, and then others.
+template <class Mask>
+class Compression {
+ public:
+  explicit Compression(Mask mask) : mask_(mask), bits_(bitsOf(F(), mask)) {}
+  V operator()(V of) const {
+    if constexpr (kLanes == 8) {
+      const auto lanes = hn::LoadU(hn::Rebind<std::uint8_t, F>(), kOrder.lane[bits_]);
+      return hn::TableLookupLanes(of, hn::IndicesFromVec(F(), hn::PromoteTo(I(), lanes)));
+    } else {
+      return hn::Compress(of, mask_);
     }
   }
-}
+  std::size_t count() const { return static_cast<std::size_t>(std::popcount(bits_)); }
 
-std::size_t used(const CapturedLanes& lights, std::size_t count, const std::array<const float*, 3>& photograph,
-                 const std::array<const float*, 3>& model, const std::array<float*, 3>& out, const UsedLanes& to,
+ private:
+  struct Order {
+    std::uint8_t lane[256][8];
+    constexpr Order() : lane{} {
+      for (int bits = 0; bits < 256; ++bits)
+        for (int i = 0, at = 0; i < 8; ++i)
+          if (bits >> i & 1) lane[bits][at++] = static_cast<std::uint8_t>(i);
+    }
+  };
+  static constexpr Order kOrder{};
+  Mask mask_;
+  unsigned bits_;
+};
+
+std::size_t used(const CapturedLanes& lights, std::size_t count, const ResidualShares* distant,
+                 const ResidualAmounts* single, const std::array<float*, 3>& out, const UsedLanes& to,
                  std::size_t& photographs) {
   const F f;
-  const V zero = hn::Zero(f);
+  const V zero = hn::Zero(f), one = hn::Set(f, 1.f);
+  V scale = zero;
+  float *const amount_lit = out[0], *const as_is = out[1];  // on their way
+  if (distant) {
+    const ResidualShares& s = *distant;
+    V standing[kParts], reaching[kParts];
+    for (std::size_t p = 0; p < kParts; ++p) standing[p] = reaching[p] = zero;
+    for (std::size_t i = 0; i < count; i += kVectorLanes)
+      for (std::size_t p = 0; p < kParts; ++p) {
+        const std::size_t at = i + p * kLanes;
+        V even, even_all, odd, odd_all;
+        hn::LoadInterleaved4(f, s.energy + 4 * at, even, even_all, odd, odd_all);
+        const V shown = hn::Add(even, odd), all = hn::Add(even_all, odd_all), share = hn::Div(shown, all);
+        const auto some = hn::Gt(all, zero);
+        const V amount = hn::Mul(hn::LoadU(f, s.usable + at), hn::IfThenElse(some, share, one));
+        hn::StoreU(amount, f, amount_lit + at);
+        hn::StoreU(s.as_is ? hn::MulAdd(hn::IfThenElse(some, share, hn::LoadU(f, s.lit + at)),
+                                        hn::Set(f, s.indirect - s.indirect_shadow), hn::Set(f, s.indirect_shadow))
+                           : zero,
+                   f, as_is + at);
+        const V energy = hn::Add(hn::Add(hn::LoadU(f, s.irradiance[0] + at), hn::LoadU(f, s.irradiance[1] + at)),
+                                 hn::LoadU(f, s.irradiance[2] + at));
+        standing[p] = hn::MulAdd(amount, energy, standing[p]);
+        reaching[p] = hn::Add(reaching[p], shown);
+      }
+    const float stands = fold(standing), reaches = fold(reaching);
+    scale = hn::Set(f, stands > 0 ? std::min(s.most_ratio, reaches / stands) : 0.f);
+  }
   std::size_t found = 0;
   photographs = 0;
   for (std::size_t i = 0; i < count; i += kLanes) {
-    alignas(64) float taken[3][kLanes];
-    auto gives = hn::Ne(zero, zero), takes = gives;
+    V given[3] = {zero, zero, zero}, taken[3] = {zero, zero, zero};
+    if (single)
+      for (int c = 0; c < 3; ++c)
+        given[c] = hn::LoadU(f, single->photograph[c] + i), taken[c] = hn::LoadU(f, single->model[c] + i);
+    if (distant) {
+      const V known = hn::LoadU(f, lights.known + i), gate = hn::LoadU(f, distant->gate + i);
+      const V all = hn::LoadU(f, as_is + i);
+      const V from_lit = hn::Mul(gate, hn::Mul(hn::Mul(hn::Sub(one, all), scale), hn::LoadU(f, amount_lit + i)));
+      const V from_all = hn::Mul(gate, all);
+      const V give = hn::Mul(known, hn::Add(hn::Add(from_lit, from_all), hn::Sub(one, gate)));
+      const V take = hn::Mul(known, hn::MulAdd(from_all, hn::LoadU(f, distant->lit + i), from_lit));
+      for (int c = 0; c < 3; ++c) {
+        const V irradiance = hn::LoadU(f, distant->irradiance[c] + i);
+        given[c] = hn::MulAdd(give, irradiance, given[c]);
+        taken[c] = hn::MulAdd(take, irradiance, taken[c]);
+      }
+    }
+    V gives = zero, takes = zero;
     for (int c = 0; c < 3; ++c) {
       const V inverse = hn::LoadU(f, lights.inverse[c] + i);
-      const V given = hn::Mul(hn::LoadU(f, photograph[c] + i), inverse);
-      const V away = hn::IfThenElseZero(hn::Gt(inverse, zero), hn::LoadU(f, model[c] + i));
-      gives = hn::Or(gives, hn::Ne(given, zero));
-      takes = hn::Or(takes, hn::Ne(away, zero));
-      hn::StoreU(given, f, out[c] + i);
-      hn::Store(away, f, taken[c]);
+      given[c] = hn::Mul(given[c], inverse);
+      taken[c] = hn::IfThenElseZero(hn::Gt(inverse, zero), taken[c]);
+      gives = hn::Max(gives, hn::Abs(given[c]));
+      takes = hn::Max(takes, hn::Abs(taken[c]));
+      hn::StoreU(given[c], f, out[c] + i);
     }
-    photographs += hn::CountTrue(f, gives);
-    for (unsigned rest = bitsOf(f, takes); rest; rest &= rest - 1, ++found) {
-      const int lane = std::countr_zero(rest);
-      to.direction[0][found] = lights.direction.x[i + lane], to.direction[1][found] = lights.direction.y[i + lane];
-      to.direction[2][found] = lights.direction.z[i + lane];
-      for (int c = 0; c < 3; ++c) to.model[c][found] = taken[c][lane];
-    }
+    photographs += hn::CountTrue(f, hn::Gt(gives, zero));
+    const Compression pack(hn::Gt(takes, zero));
+    // Whole vectors are written: no more than `i` lie before them.
+    const auto append = [&](V of, float* lanes) { hn::StoreU(pack(of), f, lanes + found); };
+    append(hn::LoadU(f, lights.direction.x + i), to.direction[0]);
+    append(hn::LoadU(f, lights.direction.y + i), to.direction[1]);
+    append(hn::LoadU(f, lights.direction.z + i), to.direction[2]);
+    for (int c = 0; c < 3; ++c) append(taken[c], to.model[c]);
+    found += pack.count();
   }
   for (std::size_t i = found; i < paddedLanes(found); ++i) {
     to.direction[0][i] = to.direction[1][i] = 0, to.direction[2][i] = 1;
@@ -318,8 +367,8 @@ HWY_EXPORT(sums);
 HWY_EXPORT(keys);
 HWY_EXPORT(largest);
 HWY_EXPORT(distant);
+HWY_EXPORT(shownTable);
 HWY_EXPORT(captured);
-HWY_EXPORT(residual);
 HWY_EXPORT(bits);
 HWY_EXPORT(used);
 
@@ -381,30 +430,28 @@ void facingEnergy(const std::array<float, 3>& n, const DirectionLanes& lights, c
                   float* key) {
   HWY_DYNAMIC_DISPATCH(keys)(n, lights, energy, count, key);
 }
-std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position) {
-  return HWY_DYNAMIC_DISPATCH(largest)(key, count, most, position);
+std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
+                        std::int32_t& about) {
+  return HWY_DYNAMIC_DISPATCH(largest)(key, count, most, position, about);
+}
+void shownBySight(const float* lit, const float* facing, const float* disagree, std::size_t count, float* shown) {
+  HWY_DYNAMIC_DISPATCH(shownTable)(lit, facing, disagree, count, shown);
 }
 std::array<float, 3> distantSums(const ModelOfPoint& model, const ModelView& view, const DistantLanes& lights,
                                  const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow,
-                                 std::size_t count, std::uint32_t* facing, float* shown_energy,
-                                 std::size_t& facing_count) {
+                                 std::size_t count, float* energy, std::size_t& facing) {
   std::array<float, 3> result;
-  HWY_DYNAMIC_DISPATCH(distant)
-  (model, view, lights, sight, about, shadow, count, facing, shown_energy, facing_count, result);
+  HWY_DYNAMIC_DISPATCH(distant)(model, view, lights, sight, about, shadow, count, energy, facing, result);
   return result;
 }
 void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, std::size_t count, float* lit,
                     float* usable, float* facing) {
   HWY_DYNAMIC_DISPATCH(captured)(n, lights, count, lit, usable, facing);
 }
-void residualAmounts(const ResidualShares& shares, const CapturedLanes& lights, float most_ratio, std::size_t count,
-                     const std::array<float*, 3>& photograph, const std::array<float*, 3>& model) {
-  HWY_DYNAMIC_DISPATCH(residual)(shares, lights, most_ratio, count, photograph, model);
-}
-std::size_t usedLights(const CapturedLanes& lights, std::size_t count, const std::array<const float*, 3>& photograph,
-                       const std::array<const float*, 3>& model, const std::array<float*, 3>& out, const UsedLanes& to,
+std::size_t usedLights(const CapturedLanes& lights, std::size_t count, const ResidualShares* distant,
+                       const ResidualAmounts* single, const std::array<float*, 3>& out, const UsedLanes& to,
                        std::size_t& photographs) {
-  return HWY_DYNAMIC_DISPATCH(used)(lights, count, photograph, model, out, to, photographs);
+  return HWY_DYNAMIC_DISPATCH(used)(lights, count, distant, single, out, to, photographs);
 }
 void shareBits(const std::uint64_t* const* rows, const float* weight, int points, std::size_t count, float* shares) {
   HWY_DYNAMIC_DISPATCH(bits)(rows, weight, points, count, shares);
