@@ -173,8 +173,8 @@ std::optional<BoardCorners> findChessboard(const Board& board, const cv::Mat& gr
 }  // namespace
 
 Point<BoardSpace> Board::corner(int i, double millimetre) const {
-  const double x = i % cornerColumns() - 0.5 * (cornerColumns() - 1),
-               y = 0.5 * (cornerRows() - 1) - i / cornerColumns();
+  const int column = i % cornerColumns(), row = i / cornerColumns();
+  const double x = column - 0.5 * (cornerColumns() - 1), y = 0.5 * (cornerRows() - 1) - row;
   return {x * square * millimetre, y * square * millimetre, 0};
 }
 

@@ -165,9 +165,10 @@ Intrinsics colmapLens(const ColmapModel& model, double width, double height, con
     lens.p1 = next();
     lens.p2 = next();
     lens.k3 = next();
-    if (next() != 0 || next() != 0 || next() != 0)
-      throw badInput(where,
-                     "FULL_OPENCV with k4, k5 or k6 other than 0 is not known; undistort the images with COLMAP");
+    for (int k = 4; k <= 6; ++k)
+      if (next() != 0)
+        throw badInput(where,
+                       "FULL_OPENCV with k4, k5 or k6 other than 0 is not known; undistort the images with COLMAP");
   }
   for (const double v : p)
     if (!std::isfinite(v)) throw badInput(where, "a camera parameter is not finite; export the model again");

@@ -192,9 +192,9 @@ void mergeVertices(AcquisitionMesh& mesh) {
 }
 
 struct CopyVisitor : CGAL::Polygon_mesh_processing::Default_orientation_visitor {
-  explicit CopyVisitor(std::vector<std::uint32_t>& source) : source_(source) {}
-  void duplicated_vertex(std::size_t old_vertex, std::size_t) { source_.push_back(source_[old_vertex]); }
-  std::vector<std::uint32_t>& source_;
+  explicit CopyVisitor(std::vector<std::uint32_t>& source_of) : source(source_of) {}
+  void duplicated_vertex(std::size_t old_vertex, std::size_t) { source.push_back(source[old_vertex]); }
+  std::vector<std::uint32_t>& source;
 };
 
 // Neighbours agree on the winding afterwards; where that cannot be, vertices are doubled and the surface is cut.

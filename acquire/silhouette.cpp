@@ -580,7 +580,7 @@ Image8 softEdges(const Image8& mask, const ImageF& photograph, const ImageF* pla
       if (inner.at<std::uint8_t>(y, x) || outer.at<std::uint8_t>(y, x)) continue;
       const float w_in = inner_weight.at<float>(y, x), w_out = outer_weight.at<float>(y, x);
       if (!(w_in > 0) || !(plate || w_out > 0)) continue;  // thinner than the band: as it was
-      const auto in = inner_sum.at<cv::Vec3f>(y, x), beside = outer_sum.at<cv::Vec3f>(y, x);
+      const cv::Vec3f &in = inner_sum.at<cv::Vec3f>(y, x), &beside = outer_sum.at<cv::Vec3f>(y, x);
       Vec3 from, along, colour;
       for (int c = 0; c < 3; ++c) {
         from[c] = plate ? plate->at(x, y, c) : beside[c] / w_out;

@@ -18,8 +18,8 @@ std::string percent(double error) {
   return error == 0 ? "0 %" : format("%.3g %%", 100 * error);
 }
 
-Axis::Axis(double least, double most, double from_, double to_)
-    : low(least / 1.25), high(most * 1.25), from(from_), to(to_) {
+Axis::Axis(double least, double most, double first, double last)
+    : low(least / 1.25), high(most * 1.25), from(first), to(last) {
   if (high / low < 3) low /= 1.5, high *= 1.5;
 }
 

@@ -19,7 +19,7 @@ std::string percent(double error);
 /// A logarithmic axis over the values from `least` to `most`, a little beyond both.
 struct Axis {
   double low, high, from, to;  ///< values, and where they are drawn
-  Axis(double least, double most, double from_, double to_);
+  Axis(double least, double most, double first, double last);
   double at(double value) const;
   std::vector<double> ticks() const;
 };

@@ -77,7 +77,7 @@ Error writeError(const std::filesystem::path& file, const std::string& text) {
           "could not be written: " + text + (full ? "; make room or choose another place" : ""), file.string()};
 }
 
-void writeWithOiio(const std::filesystem::path& file, const OIIO::ImageSpec& spec, OIIO::TypeDesc type,
+void writeWithOiio(const std::filesystem::path& file, const OIIO::ImageSpec& spec, const OIIO::TypeDesc& type,
                    const void* data) {
   // Encoded in memory: the library's own writer does not notice a full disk.
   OIIO::Filesystem::IOVecOutput encoded;

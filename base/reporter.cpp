@@ -3,6 +3,7 @@
 #include <signal.h>
 #include <unistd.h>
 
+#include <cmath>
 #include <cstdio>
 
 #include "base/error.h"
@@ -37,7 +38,7 @@ std::string jsonText(const std::string& text) {
 
 std::string clockText(double seconds) {
   char text[32];
-  const long s = static_cast<long>(seconds + 0.5);
+  const long s = std::lround(seconds);
   if (s < 3600)
     std::snprintf(text, sizeof text, "%ld:%02ld", s / 60, s % 60);
   else

@@ -54,7 +54,7 @@ std::vector<SearchPoint> searchPoints(const FitInput& input, std::span<const Dir
   for (std::size_t tried = 0; tried < order.size() && found.size() < kSearchPoints; ++tried) {
     std::swap(order[tried], order[tried + random() % (order.size() - tried)]);
     const std::uint32_t i = order[tried];
-    if (input.samples.views(i).size() < 1) continue;
+    if (input.samples.views(i).empty()) continue;
     SearchPoint point{normals[i], {}};
     point.samples.load(input, i, normals[i]);
     if (point.samples.litSamples() >= kFewestSearchSamples) found.push_back(std::move(point));
@@ -408,9 +408,9 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
         // where both return the photographs of a matt surface, 1 where it does not harm.
         const auto gate = [&](const HoldoutError::Case& of, double open) {
           const double plain = std::sqrt(of.plain), guided = std::sqrt(guidedError(of, fitted));
-          constexpr double shut = 1.05;
+          constexpr double kShut = 1.05;
           if (!(plain > 0)) return guided > 0 ? 0.0 : 1.0;
-          return smoothstep(0, 1, (shut * plain - guided) / ((shut - open) * plain));
+          return smoothstep(0, 1, (kShut * plain - guided) / ((kShut - open) * plain));
         };
         fitted.gate =
             static_cast<float>(std::min({gate(e.all.light, 0.9), gate(e.all.both, 0.9), gate(e.all.view, 1)}));

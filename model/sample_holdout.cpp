@@ -80,7 +80,7 @@ void SampleHoldout::foretell(int lights) {
 
 void SampleHoldout::nearest(const LightLists::List& list, const PointSamples::Lights& lights, int i,
                             std::vector<Weighted>& weights) {
-  constexpr std::size_t wanted = kLights + 1;
+  constexpr std::size_t kWanted = kLights + 1;
   const auto known = [&](std::uint32_t k) { return lights.x[k] != 0 || lights.y[k] != 0 || lights.z[k] != 0; };
   const auto chord2 = [&](std::uint32_t other) {
     return square(double{lights.x[i]} - lights.x[other]) + square(double{lights.y[i]} - lights.y[other]) +
@@ -90,13 +90,13 @@ void SampleHoldout::nearest(const LightLists::List& list, const PointSamples::Li
   if (list.distant) {  // by rising angle
     for (const std::uint32_t other : list.others[i]) {
       candidates_.push_back({chord2(other), other});
-      if (candidates_.size() == wanted) break;
+      if (candidates_.size() == kWanted) break;
     }
   } else {
     for (std::uint32_t other = 0; other < static_cast<std::uint32_t>(lights.count); ++other) {
       if (other == static_cast<std::uint32_t>(i) || !known(other)) continue;
       const Penalised found{chord2(other), other};
-      if (candidates_.size() < wanted)
+      if (candidates_.size() < kWanted)
         candidates_.push_back(found);
       else if (found < candidates_.back())
         candidates_.back() = found;

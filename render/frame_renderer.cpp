@@ -186,27 +186,27 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   std::vector<std::array<double, 4>>& sums = s.sums;
   sums.assign(static_cast<std::size_t>(width) * height, {});
   Layers layers(s.settings.layers, s.settings.accuracy.views, width, height);
-  const int blocks = pixelBlocks(camera);
+  const int pieces = pixelPieces(camera, plan.pattern.size());
   // Gathered in groups until the budget is full; a group is small against it, and large enough for the threads.
   const std::size_t budget = s.working_bytes / 2;
   const std::size_t ray_bytes = 2048;  // a hit's operations, weights and share of new vectors, generously
-  const std::size_t block_bytes = kPixelBlock * kPixelBlock * plan.pattern.size() * ray_bytes;
-  const int group = static_cast<int>(std::clamp<std::size_t>(budget / 4 / block_bytes, 1, 256));
+  const std::size_t piece_rays = piecePixels(plan.pattern.size()) * plan.pattern.size();
+  const int group = static_cast<int>(std::clamp<std::size_t>(budget / 4 / (piece_rays * ray_bytes), 1, 256));
   std::uint64_t hit_count = 0, operation_count = 0, vector_count = 0;
   std::vector<std::uint64_t> first_plan;  // of the frame
   FrameSupport frame_support;
-  for (int next = 0; next < blocks;) {
+  for (int next = 0; next < pieces;) {
     std::vector<PixelBlock> batch;
     std::size_t bytes = 0;
     if (s.shared.bytes() > budget / 2) s.shared.clear();
-    while (next < blocks && bytes + s.shared.bytes() < budget) {
+    while (next < pieces && bytes + s.shared.bytes() < budget) {
       throwIfInterrupted();
-      const int count = std::min(group, blocks - next);
+      const int count = std::min(group, pieces - next);
       const std::size_t first = batch.size();
       batch.resize(first + count);
       parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i)
-          s.gather(plan, raysOfBlock(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i)),
+          s.gather(plan, raysOfPiece(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i)),
                    batch[first + i], layers.wanted() ? &layers : nullptr, nullptr);
       });
       std::array<double, kGatherStages.size()> spent{};

@@ -34,22 +34,42 @@ void PixelRays::add(const Camera<ObjectSpace>& camera, const std::optional<ThinL
     }
 }
 
-int pixelBlocks(const Camera<ObjectSpace>& camera) {
-  const auto along = [](int pixels) { return (pixels + kPixelBlock - 1) / kPixelBlock; };
-  return along(camera.lens.width) * along(camera.lens.height);
+namespace {
+
+constexpr int kBlockPixels = kPixelBlock * kPixelBlock;
+
+int blocksAlong(int pixels) {
+  return (pixels + kPixelBlock - 1) / kPixelBlock;
 }
 
-PixelRays raysOfBlock(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens,
-                      std::span<const Vec2> pattern, const ScreenCover& cover, int block) {
-  const int width = camera.lens.width, height = camera.lens.height;
-  const int blocks_x = (width + kPixelBlock - 1) / kPixelBlock;
+int piecesOfBlock(std::size_t samples) {
+  const int pixels = piecePixels(samples);
+  return (kBlockPixels + pixels - 1) / pixels;
+}
+
+}  // namespace
+
+int piecePixels(std::size_t samples) {
+  return static_cast<int>(std::clamp<std::size_t>(kPieceRays / samples, 1, kBlockPixels));
+}
+
+int pixelPieces(const Camera<ObjectSpace>& camera, std::size_t samples) {
+  return blocksAlong(camera.lens.width) * blocksAlong(camera.lens.height) * piecesOfBlock(samples);
+}
+
+PixelRays raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens,
+                      std::span<const Vec2> pattern, const ScreenCover& cover, int piece) {
+  const int pieces = piecesOfBlock(pattern.size()), pixels = piecePixels(pattern.size());
+  const int block = piece / pieces, first = piece % pieces * pixels, end = std::min(first + pixels, kBlockPixels);
+  const int blocks_x = blocksAlong(camera.lens.width);
   const int x0 = block % blocks_x * kPixelBlock, y0 = block / blocks_x * kPixelBlock;
   PixelRays result;
-  result.rays.reserve(kPixelBlock * kPixelBlock * pattern.size());
-  result.pixel.reserve(kPixelBlock * kPixelBlock * pattern.size());
-  for (int y = y0; y < std::min(height, y0 + kPixelBlock); ++y)
-    for (int x = x0; x < std::min(width, x0 + kPixelBlock); ++x)
-      if (cover.covers(x, y)) result.add(camera, lens, pattern, x, y);
+  result.rays.reserve((end - first) * pattern.size());
+  result.pixel.reserve((end - first) * pattern.size());
+  for (int i = first; i < end; ++i) {
+    const int x = x0 + i % kPixelBlock, y = y0 + i / kPixelBlock;
+    if (x < camera.lens.width && y < camera.lens.height && cover.covers(x, y)) result.add(camera, lens, pattern, x, y);
+  }
   return result;
 }
 

@@ -13,6 +13,9 @@
 namespace srf {
 
 inline constexpr int kPixelBlock = 16;  ///< pixels along the side of the blocks that a frame is gathered in
+/// Most rays that are gathered together, but for a single pixel's: with many samples a block falls into pieces of a few
+/// pixels each, so that a frame's memory does not grow with its samples.
+inline constexpr int kPieceRays = 16 * kPixelBlock * kPixelBlock;
 
 /// Where the samples of a pixel lie in it, about its middle: a regular grid for square numbers, else a rank-1 lattice.
 std::vector<Vec2> samplePattern(int samples);
@@ -27,10 +30,12 @@ struct PixelRays {
            int y);
 };
 
-/// Blocks of a picture, row by row.
-int pixelBlocks(const Camera<ObjectSpace>& camera);
+/// Pixels of a piece; the last piece of a block may have fewer.
+int piecePixels(std::size_t samples);
+/// Pieces of a picture: those of a block one after the other, blocks row by row.
+int pixelPieces(const Camera<ObjectSpace>& camera, std::size_t samples);
 /// Pixels that the cover leaves out get no rays.
-PixelRays raysOfBlock(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens,
-                      std::span<const Vec2> pattern, const ScreenCover& cover, int block);
+PixelRays raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens,
+                      std::span<const Vec2> pattern, const ScreenCover& cover, int piece);
 
 }  // namespace srf

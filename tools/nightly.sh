@@ -26,7 +26,7 @@ mkdir -p doc/images/hard_cases
 targets=(test_base test_field test_acquire test_visual_hull test_synthetic test_model test_render test_property test_regression)
 failed=0
 for build in "${builds[@]}"; do
-  cmake --preset "$build" > /dev/null
+  cmake --preset "$build" -DSRF_TEST_TIMEOUT=14400 > /dev/null
   cmake --build --preset "$build" -j "$(nproc)" --target "${targets[@]}"
   only=()
   # Of release alone, whose pictures these are and which has no sanitizer to please.
@@ -39,7 +39,7 @@ for build in "${builds[@]}"; do
   rm -f "$records/$build"
   # Embree and TBB are not built with the thread sanitizer: what they do inside is not ours to judge.
   TSAN_OPTIONS="suppressions=$PWD/tools/nightly/tsan.txt" SRF_HARD_CASES="$records/$build" \
-    ctest --test-dir "build/$build" --output-on-failure --timeout 7200 -j 1 -E '^apps/|_NOT_BUILT' "${only[@]}" || failed=1
+    ctest --test-dir "build/$build" --output-on-failure -j 1 -E '^apps/|_NOT_BUILT' "${only[@]}" || failed=1
 done
 tools/nightly/page.py "$records" > doc/hard_cases.md.part
 mv doc/hard_cases.md.part doc/hard_cases.md

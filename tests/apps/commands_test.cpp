@@ -748,7 +748,8 @@ TEST(Study, CaptureOfUnknownIlluminationLeavesViewsOutAlone) {
 TEST(Effects, ComeOutAsInTheExactReference) {
   test::TemporaryFolder folder;
   const fs::path capture = folder / "capture", field = folder / "x.srf", file = folder / "scene.json";
-  ASSERT_EQ(run({"synth", "-o", capture, "--views", "24", "--lights", "64", "--size", "64", "--mesh-cells", "64"}).code, 0);
+  ASSERT_EQ(run({"synth", "-o", capture, "--views", "24", "--lights", "64", "--size", "64", "--mesh-cells", "64"}).code,
+            0);
   ASSERT_EQ(run({"acquire", capture, "-o", field}).code, 0);
   ASSERT_EQ(run({"model", field, "--shape", capture / "model.ply"}).code, 0);
   Json scene = sample().sceneJson();

@@ -642,8 +642,8 @@ TEST_F(HardCases, TheSilhouetteOfSurfelsIsThatOfTrianglesToAPixel) {
 TEST_F(HardCases, MemoryStaysWithinTheBudgetHoweverManyOperationsAFrameHas) {
   FrameSettings settings;
   settings.memory_bytes = std::size_t{32} << 20;
-  settings.samples = test::sized(16, 1600);
-  const auto camera = cameraFrom({1, -3.5, 1}, {}, test::sized(64, 128));
+  settings.samples = test::sized(400, 2500);
+  const auto camera = cameraFrom({1, -3.5, 1}, {}, test::sized(32, 128));
   Reporter reporter(ProgressMode::none, LogLevel::error);
   render(*field_, {}, camera, lights(), {}, reporter);  // what a frame needs anyway
   struct rusage before {
