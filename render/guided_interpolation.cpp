@@ -215,9 +215,7 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
   block.ray_order.resize(wanted.size());
   for (std::uint32_t i = 0; i < wanted.size(); ++i) block.ray_order[block.first_ray[wanted[i].first]++] = i;
 
-  std::vector<Ray<ObjectSpace>> rays;
-  std::vector<double> far_distances;
-  std::vector<std::uint8_t> blocked;
+  auto& [rays, far_distances, blocked] = block.rays;
   for (std::size_t begin = 0; begin < wanted.size(); begin += kRaysAtOnce) {
     const std::size_t end = std::min(wanted.size(), begin + kRaysAtOnce);
     rays.clear();
@@ -231,10 +229,10 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
       if (light < distant_count) {
         direction = lights.distant[light].direction;
       } else {
-        const NearLight& near = lights.near_lights[light - distant_lanes_];
-        direction = normalize(near.position - hit.query.hit->p_star)
-                        .value_or(acquisition_from_object.inverse() * hit.query.look_up->normal);
-        far = kShortOfLight * distance(near.position, hit.query.hit->p_star);
+        const std::size_t near = light - distant_lanes_;
+        const DirectionLanes l = lanesOf(block.near_direction, h * near_lanes_ + near);
+        direction = Direction<ObjectSpace>::fromUnit(Vec3{double{*l.x}, double{*l.y}, double{*l.z}});
+        far = kShortOfLight * distance(lights.near_lights[near].position, hit.query.hit->p_star);
       }
       if (at_rest) direction = Direction<ObjectSpace>::fromUnit((acquisition_from_object * direction).raw());
       rays.push_back({origins[h], direction});
@@ -435,10 +433,14 @@ ResidualShares GuidedLighting::spreadShared(GuidedBlock& block, std::size_t inde
 
   // The residual as it is, and the lit one: of each captured light as much as of the light about it is shown; together
   // what reaches the surface.
-  for (auto& vector : vectors)
-    if (!vector) vector = nearest->irradiance.data();  // its share is 0
-  block.shared.assign(3 * pad, 0);
-  addBlend(block.shared.data(), blend.share, vectors, static_cast<int>(3 * pad));
+  const float* shared = nearest->irradiance.data();
+  if (most < 1) {
+    for (auto& vector : vectors)
+      if (!vector) vector = shared;  // its share is 0
+    block.shared.resize(3 * pad);
+    blendVectors(vectors, blend.share, 3 * pad, block.shared.data());
+    shared = block.shared.data();
+  }
   return {hit.indirect,
           hit.indirect_shadow,
           kMostRatio,
@@ -447,7 +449,7 @@ ResidualShares GuidedLighting::spreadShared(GuidedBlock& block, std::size_t inde
           block.gate.data(),
           block.lit.data(),
           block.usable.data(),
-          {block.shared.data(), block.shared.data() + pad, block.shared.data() + 2 * pad}};
+          {shared, shared + pad, shared + 2 * pad}};
 }
 
 std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std::uint32_t list_index, LightGather& out,
@@ -497,10 +499,8 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
     const DirectionLanes l = lanesOf(block.near_direction, index * near_lanes_);
     for (std::size_t k = 0; k < near_count; ++k) {
       const std::array<float, 3> e = floats(block.near_irradiance[index * near_count + k]);
-      const Vector<ObjectSpace> to_light = lights.near_lights[k].position - hit.query.hit->p_star;
-      const Direction<AcquisitionSpace> direction =
-          look_up.acquisition_from_object *
-          normalize(to_light).value_or(look_up.acquisition_from_object.inverse() * look_up.normal);
+      const auto direction = look_up.acquisition_from_object *
+                             Direction<ObjectSpace>::fromUnit(Vec3{double{l.x[k]}, double{l.y[k]}, double{l.z[k]}});
       block.weights.clear();
       const std::size_t lanes = paddedLanes(block.hits.size());
       for (std::size_t j = 0; !found.weight.empty() && j < static_cast<std::size_t>(list.k()); ++j) {

@@ -96,6 +96,11 @@ struct GuidedBlock {
   // Memory of the shadow rays.
   std::vector<std::pair<std::uint32_t, std::uint32_t>> rays_wanted;  ///< (light, hit)
   std::vector<std::uint32_t> ray_order, first_ray;
+  struct Rays {
+    std::vector<Ray<ObjectSpace>> ray;
+    std::vector<double> far_distance;
+    std::vector<std::uint8_t> blocked;
+  } rays;
 };
 
 /// The lights of one frame, guided by the fit.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <type_traits>
 
 #include "base/numeric.h"
 #include "render/highway_targets.h"
@@ -53,25 +54,37 @@ V dot3(const std::array<float, 3>& a, V x, V y, V z) {
 }
 
 /// value[c] = sum over views of share M_c for lights at `cosine`; as modelTerms has it, with one division:
-/// D G1(l) G1(v) n.l / (4 n.l n.v) = lobe n.l |h|^4 / ((n.l + s_l) (..)^2).
-template <class Value>
+/// D G1(l) G1(v) n.l / (4 n.l n.v) = lobe n.l |h|^4 / ((n.l + s_l) (..)^2). Where both roughnesses are the same,
+/// (t.h)^2 + (b.h)^2 = |h|^2 - (n.h)^2 does without t and b.
+template <bool kRound, bool kTransmits, class Value>
 HWY_INLINE void values(const ModelOfPoint& m, const ModelView* views, std::size_t view_count, V x, V y, V z, V cosine,
                        const Value& value) {
   const F f;
   const V one = hn::Set(f, 1.f), zero = hn::Zero(f);
   const V nl = hn::Max(cosine, zero);
-  const V tl = dot3(m.t, x, y, z), bl = dot3(m.b, x, y, z);
-  const V s = hn::Sqrt(
-      hn::MulAdd(hn::Mul(tl, tl), hn::Set(f, m.ax2), hn::MulAdd(hn::Mul(bl, bl), hn::Set(f, m.ay2), hn::Mul(nl, nl))));
+  V tl = zero, bl = zero, s = hn::Mul(nl, nl);
+  if constexpr (kRound) {
+    s = hn::Sqrt(hn::MulAdd(s, hn::Set(f, 1 - m.ax2), hn::Set(f, m.ax2)));
+  } else {
+    tl = dot3(m.t, x, y, z), bl = dot3(m.b, x, y, z);
+    s = hn::Sqrt(hn::MulAdd(hn::Mul(tl, tl), hn::Set(f, m.ax2), hn::MulAdd(hn::Mul(bl, bl), hn::Set(f, m.ay2), s)));
+  }
   const V masked = hn::Add(hn::Add(nl, s), hn::Set(f, 1e-12f));
   V specular = zero, fresnel = zero;
   for (std::size_t i = 0; i < view_count; ++i) {
     const ModelView& view = views[i];
     const V half2 = hn::Max(hn::MulAdd(hn::Set(f, 2.f), dot3(view.v, x, y, z), hn::Set(f, 2.f)), hn::Set(f, 1e-6f));
-    const V nh = hn::Add(nl, hn::Set(f, view.nv)), th = hn::Add(tl, hn::Set(f, view.tv)),
-            bh = hn::Add(bl, hn::Set(f, view.bv));
-    const V slope = hn::MulAdd(hn::Mul(th, th), hn::Set(f, m.inverse_ax2),
-                               hn::MulAdd(hn::Mul(bh, bh), hn::Set(f, m.inverse_ay2), hn::Mul(nh, nh)));
+    const V nh = hn::Add(nl, hn::Set(f, view.nv));
+    V slope = hn::Mul(nh, nh);
+    if constexpr (kRound) {
+      // No less than |h|^2 where the light is above the horizon; elsewhere the lobe counts nothing, but is finite.
+      slope =
+          hn::Max(half2, hn::MulAdd(half2, hn::Set(f, m.inverse_ax2), hn::Mul(slope, hn::Set(f, 1 - m.inverse_ax2))));
+    } else {
+      const V th = hn::Add(tl, hn::Set(f, view.tv)), bh = hn::Add(bl, hn::Set(f, view.bv));
+      slope = hn::MulAdd(hn::Mul(th, th), hn::Set(f, m.inverse_ax2),
+                         hn::MulAdd(hn::Mul(bh, bh), hn::Set(f, m.inverse_ay2), slope));
+    }
     const V lobe =
         hn::Div(hn::Mul(hn::Set(f, view.share), hn::Mul(half2, half2)), hn::Mul(masked, hn::Mul(slope, slope)));
     specular = hn::Add(specular, lobe);
@@ -80,12 +93,29 @@ HWY_INLINE void values(const ModelOfPoint& m, const ModelView* views, std::size_
   }
   specular = hn::Mul(specular, nl);
   fresnel = hn::Mul(fresnel, nl);
-  const V transmitted = hn::NegMulAdd(nl, fifth(hn::Sub(one, nl)), nl);
-  for (int c = 0; c < 3; ++c)
-    value(c, hn::MulAdd(hn::Set(f, m.fresnel[c]), fresnel,
-                        hn::MulAdd(hn::Set(f, m.specular[c]), specular,
-                                   hn::MulAdd(hn::Set(f, m.transmitted[c]), transmitted,
-                                              hn::Mul(hn::Set(f, m.lambert[c]), nl)))));
+  V transmitted = zero;
+  if constexpr (kTransmits) transmitted = hn::NegMulAdd(nl, fifth(hn::Sub(one, nl)), nl);
+  for (int c = 0; c < 3; ++c) {
+    V diffuse = hn::Mul(hn::Set(f, m.lambert[c]), nl);
+    if constexpr (kTransmits) diffuse = hn::MulAdd(hn::Set(f, m.transmitted[c]), transmitted, diffuse);
+    value(c, hn::MulAdd(hn::Set(f, m.fresnel[c]), fresnel, hn::MulAdd(hn::Set(f, m.specular[c]), specular, diffuse)));
+  }
+}
+
+/// Calls run with the two choices of values() that fit the point. A view below the horizon counts as one at it: there
+/// |h| is not made of n.h, t.h and b.h.
+template <class Run>
+HWY_INLINE void withKind(const ModelOfPoint& m, const ModelView* views, std::size_t view_count, const Run& run) {
+  constexpr float kSharpest = 0.08f;  // below, differences of |h|^2 and (n.h)^2 lose too many digits
+  bool round = m.ax2 == m.ay2 && m.ax2 > kSharpest * kSharpest && m.ax2 <= 1;
+  for (std::size_t i = 0; i < view_count; ++i) round &= views[i].above;
+  const bool transmits = std::max({m.transmitted[0], m.transmitted[1], m.transmitted[2]}) > 0;
+  const std::true_type yes;
+  const std::false_type no;
+  if (round)
+    transmits ? run(yes, yes) : run(yes, no);
+  else
+    transmits ? run(no, yes) : run(no, no);
 }
 
 void sums(const ModelOfPoint& m, const ModelView* views, std::size_t view_count, const DirectionLanes& lights,
@@ -94,14 +124,31 @@ void sums(const ModelOfPoint& m, const ModelView* views, std::size_t view_count,
   V sum[3][kParts];
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
-  for (std::size_t i = 0; i < count; i += kVectorLanes)
-    for (std::size_t p = 0; p < kParts; ++p) {
-      const std::size_t at = i + p * kLanes;
-      const V x = hn::LoadU(f, lights.x + at), y = hn::LoadU(f, lights.y + at), z = hn::LoadU(f, lights.z + at);
-      values(m, views, view_count, x, y, z, dot3(m.n, x, y, z),
-             [&](int c, V value) { sum[c][p] = hn::MulAdd(hn::LoadU(f, amount[c] + at), value, sum[c][p]); });
-    }
+  withKind(m, views, view_count, [&](auto round, auto transmits) {
+    for (std::size_t i = 0; i < count; i += kVectorLanes)
+      for (std::size_t p = 0; p < kParts; ++p) {
+        const std::size_t at = i + p * kLanes;
+        V amounts[3];
+        for (int c = 0; c < 3; ++c) amounts[c] = hn::LoadU(f, amount[c] + at);
+        const V any = hn::Or(amounts[0], hn::Or(amounts[1], amounts[2]));
+        if (hn::AllTrue(f, hn::Eq(any, hn::Zero(f)))) continue;
+        const V x = hn::LoadU(f, lights.x + at), y = hn::LoadU(f, lights.y + at), z = hn::LoadU(f, lights.z + at);
+        values<round.value, transmits.value>(m, views, view_count, x, y, z, dot3(m.n, x, y, z), [&](int c, V value) {
+          sum[c][p] = hn::MulAdd(amounts[c], value, sum[c][p]);
+        });
+      }
+  });
   for (int c = 0; c < 3; ++c) result[c] = fold(sum[c]);
+}
+
+void blend(const std::array<const float*, 4>& vector, const std::array<float, 4>& share, std::size_t count,
+           float* sum) {
+  const F f;
+  for (std::size_t i = 0; i < count; i += kLanes) {
+    V of = hn::Mul(hn::Set(f, share[0]), hn::LoadU(f, vector[0] + i));
+    for (int j = 1; j < 4; ++j) of = hn::MulAdd(hn::Set(f, share[j]), hn::LoadU(f, vector[j] + i), of);
+    hn::StoreU(of, f, sum + i);
+  }
 }
 
 void keys(const std::array<float, 3>& n, const DirectionLanes& lights, const float* energy, std::size_t count,
@@ -181,31 +228,35 @@ void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& l
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
   facing = 0;
-  for (std::size_t i = 0; i < count; i += kVectorLanes)
-    for (std::size_t p = 0; p < kParts; ++p) {
-      const std::size_t at = i + p * kLanes;
-      const V x = hn::LoadU(f, lights.direction.x + at), y = hn::LoadU(f, lights.direction.y + at),
-              z = hn::LoadU(f, lights.direction.z + at);
-      const V cosine = dot3(m.n, x, y, z), energy = hn::LoadU(f, lights.energy + at);
-      const auto faces = hn::And(hn::Gt(cosine, hn::Zero(f)), hn::Gt(energy, hn::Zero(f)));
-      if (hn::AllFalse(f, faces)) continue;
-      const auto row = hn::Add(hn::PromoteTo(d, hn::LoadU(bytes, sight + at)), hn::Set(d, 1));
-      const auto near = hn::LoadU(d, reinterpret_cast<const std::int32_t*>(about) + at);
-      const V shown = hn::IfThenElseZero(faces, hn::GatherIndex(f, shadow.shown, hn::Add(hn::Mul(row, stride), near)));
-      alignas(64) float energies[2 * kLanes];
-      hn::StoreInterleaved2(hn::Mul(shown, energy), hn::IfThenElseZero(faces, energy), f, energies);
-      facing += hn::CountTrue(f, faces);
-      // Neighbours in turn to two places: lights side by side mostly lie about the same captured one. Without branches.
-      for (std::size_t lane = 0; lane < kLanes; ++lane) {
-        float* const to = energy_about + std::size_t{4} * about[at + lane] + 2 * (lane % 2);
-        hn::Store(hn::Add(hn::Load(two, to), hn::Load(two, energies + 2 * lane)), two, to);
+  withKind(m, &view, 1, [&](auto round, auto transmits) {
+    for (std::size_t i = 0; i < count; i += kVectorLanes)
+      for (std::size_t p = 0; p < kParts; ++p) {
+        const std::size_t at = i + p * kLanes;
+        const V x = hn::LoadU(f, lights.direction.x + at), y = hn::LoadU(f, lights.direction.y + at),
+                z = hn::LoadU(f, lights.direction.z + at);
+        const V cosine = dot3(m.n, x, y, z), energy = hn::LoadU(f, lights.energy + at);
+        const auto faces = hn::And(hn::Gt(cosine, hn::Zero(f)), hn::Gt(energy, hn::Zero(f)));
+        if (hn::AllFalse(f, faces)) continue;
+        const auto row = hn::Add(hn::PromoteTo(d, hn::LoadU(bytes, sight + at)), hn::Set(d, 1));
+        const auto near = hn::LoadU(d, reinterpret_cast<const std::int32_t*>(about) + at);
+        const V shown =
+            hn::IfThenElseZero(faces, hn::GatherIndex(f, shadow.shown, hn::Add(hn::Mul(row, stride), near)));
+        alignas(64) float energies[2 * kLanes];
+        hn::StoreInterleaved2(hn::Mul(shown, energy), hn::IfThenElseZero(faces, energy), f, energies);
+        facing += hn::CountTrue(f, faces);
+        // Neighbours in turn to two places: lights side by side mostly lie about the same captured one. Without
+        // branches.
+        for (std::size_t lane = 0; lane < kLanes; ++lane) {
+          float* const to = energy_about + std::size_t{4} * about[at + lane] + 2 * (lane % 2);
+          hn::Store(hn::Add(hn::Load(two, to), hn::Load(two, energies + 2 * lane)), two, to);
+        }
+        if (hn::AllTrue(f, hn::Eq(shown, hn::Zero(f)))) continue;
+        const V counts = shadow.trusted ? hn::Mul(shown, hn::GatherIndex(f, shadow.trusted, near)) : shown;
+        values<round.value, transmits.value>(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
+          sum[c][p] = hn::MulAdd(hn::Mul(counts, hn::LoadU(f, lights.irradiance[c] + at)), value, sum[c][p]);
+        });
       }
-      if (hn::AllTrue(f, hn::Eq(shown, hn::Zero(f)))) continue;
-      const V counts = shadow.trusted ? hn::Mul(shown, hn::GatherIndex(f, shadow.trusted, near)) : shown;
-      values(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
-        sum[c][p] = hn::MulAdd(hn::Mul(counts, hn::LoadU(f, lights.irradiance[c] + at)), value, sum[c][p]);
-      });
-    }
+  });
   for (int c = 0; c < 3; ++c) result[c] = fold(sum[c]);
 }
 
@@ -365,6 +416,7 @@ HWY_AFTER_NAMESPACE();
 namespace srf {
 HWY_EXPORT(sums);
 HWY_EXPORT(keys);
+HWY_EXPORT(blend);
 HWY_EXPORT(largest);
 HWY_EXPORT(distant);
 HWY_EXPORT(shownTable);
@@ -389,7 +441,8 @@ ModelView addView(ModelOfPoint& m, const PointReflectance& point, const std::arr
   constexpr float kLeastCosine = 1e-3f;  // as modelTerms has it
   constexpr float kInversePi = 0.318309886183790672f;
   const auto dot = [&](const std::array<float, 3>& a) { return a[0] * view[0] + a[1] * view[1] + a[2] * view[2]; };
-  ModelView to{view, std::max(dot(m.n), kLeastCosine), dot(m.t), dot(m.b), 0};
+  const float cosine = dot(m.n);
+  ModelView to{view, std::max(cosine, kLeastCosine), dot(m.t), dot(m.b), 0, cosine >= kLeastCosine};
   to.share = share * m.lobe / (to.nv + std::sqrt(m.ax2 * to.tv * to.tv + m.ay2 * to.bv * to.bv + to.nv * to.nv));
   const float grazing = 1 - to.nv, squared = grazing * grazing;
   const float lambert = kInversePi * share, transmitted = lambert * (1 - squared * squared * grazing);
@@ -433,6 +486,10 @@ void facingEnergy(const std::array<float, 3>& n, const DirectionLanes& lights, c
 std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
                         std::int32_t& about) {
   return HWY_DYNAMIC_DISPATCH(largest)(key, count, most, position, about);
+}
+void blendVectors(const std::array<const float*, 4>& vector, const std::array<float, 4>& share, std::size_t count,
+                  float* sum) {
+  HWY_DYNAMIC_DISPATCH(blend)(vector, share, count, sum);
 }
 void shownBySight(const float* lit, const float* facing, const float* disagree, std::size_t count, float* shown) {
   HWY_DYNAMIC_DISPATCH(shownTable)(lit, facing, disagree, count, shown);

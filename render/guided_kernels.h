@@ -31,6 +31,7 @@ struct ModelView {
   std::array<float, 3> v;
   float nv, tv, bv;
   float share;  ///< with what else depends on the view alone
+  bool above;   ///< the horizon
 };
 /// A point whose normal and tangent lie in acquisition space, without views.
 ModelOfPoint modelOfPoint(const PointReflectance& point);
@@ -48,6 +49,10 @@ std::array<float, 3> modelSums(const ModelOfPoint& model, const ModelView* views
 std::array<double, 3> modelSumsReference(const PointReflectance& point, const std::array<float, 3>& view,
                                          const DirectionLanes& lights, const std::array<const float*, 3>& amount,
                                          std::size_t count);
+
+/// sum[i] = share[0] * vector[0][i] + .. + share[3] * vector[3][i], terms in this order.
+void blendVectors(const std::array<const float*, 4>& vector, const std::array<float, 4>& share, std::size_t count,
+                  float* sum);
 
 /// key[i] = max(n.l_i, 0) energy[i].
 void facingEnergy(const std::array<float, 3>& n, const DirectionLanes& lights, const float* energy, std::size_t count,
