@@ -182,6 +182,10 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     plan.lighting.gather(points, wanted, out.shading.lights);  // M13, M14
   } else {
     LitPoint point;
+    std::size_t own = 0;  // of hits that are guided: room for all at once
+    for (const auto& [m, list] : wanted)
+      if (guided && guided_block.hits[m].gate > 0) own += 3 * static_cast<std::size_t>(lightPad(lists[list].count()));
+    out.shading.lights.own.reserve(own);
     for (const auto& [m, list] : wanted) {
       light(m, point);
       if (guided && guided_block.hits[m].gate > 0)

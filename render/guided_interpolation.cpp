@@ -27,6 +27,11 @@ std::array<float, 3> floats(const Vec3& a) {
 float dot3(const std::array<float, 3>& a, float x, float y, float z) {
   return a[0] * x + a[1] * y + a[2] * z;
 }
+bool sameWords(const std::uint64_t* a, const std::uint64_t* b, std::size_t count) {
+  std::uint64_t differs = 0;
+  for (std::size_t i = 0; i < count; ++i) differs |= a[i] ^ b[i];
+  return differs == 0;
+}
 float square(float x) {
   return x * x;
 }
@@ -155,6 +160,7 @@ void GuidedLighting::prepare(std::span<const GuidedQuery> queries, GuidedBlock& 
   block.near_irradiance.resize(queries.size() * near_count);
   block.shadow_rays = block.model_values = 0;
   block.last_corner = {};
+  for (GuidedBlock::Nearest& list : block.near_weights) list.weight.clear();
   for (std::size_t h = 0; h < queries.size(); ++h) {
     blend(queries[h], block.hits[h]);
     for (std::size_t k = 0; k < near_count; ++k) {  // Eq. 11: A(|p* - p_l|) I_l
@@ -179,6 +185,7 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
   block.keys.resize(distant_lanes_);
   block.positions.resize(distant_lanes_);
   std::vector<Point<ObjectSpace>> origins(block.hits.size());
+  std::int32_t least = 0;  // key that the hit before sent a ray for
   for (std::size_t h = 0; h < block.hits.size(); ++h) {
     const GuidedBlock::Hit& hit = block.hits[h];
     if (!(hit.gate > 0)) continue;
@@ -190,8 +197,9 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
     const auto hit_index = static_cast<std::uint32_t>(h);
     if (distant_count > 0) {
       facingEnergy(hit.model.n, lanesOf(direction_), energy_.data(), distant_count, block.keys.data());
-      const std::size_t count = largestKeys(block.keys.data(), distant_count,
-                                            static_cast<std::size_t>(options_.shadow_rays), block.positions.data());
+      const std::size_t count =
+          largestKeys(block.keys.data(), distant_count, static_cast<std::size_t>(options_.shadow_rays),
+                      block.positions.data(), least);
       for (std::size_t i = 0; i < count; ++i) wanted.emplace_back(block.positions[i], hit_index);
     }
     for (std::size_t k = 0; k < near_count; ++k) {
@@ -207,9 +215,7 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
   block.ray_order.resize(wanted.size());
   for (std::uint32_t i = 0; i < wanted.size(); ++i) block.ray_order[block.first_ray[wanted[i].first]++] = i;
 
-  std::vector<Ray<ObjectSpace>> rays;
-  std::vector<double> far_distances;
-  std::vector<std::uint8_t> blocked;
+  auto& [rays, far_distances, blocked] = block.rays;
   for (std::size_t begin = 0; begin < wanted.size(); begin += kRaysAtOnce) {
     const std::size_t end = std::min(wanted.size(), begin + kRaysAtOnce);
     rays.clear();
@@ -223,10 +229,10 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
       if (light < distant_count) {
         direction = lights.distant[light].direction;
       } else {
-        const NearLight& near = lights.near_lights[light - distant_lanes_];
-        direction = normalize(near.position - hit.query.hit->p_star)
-                        .value_or(acquisition_from_object.inverse() * hit.query.look_up->normal);
-        far = kShortOfLight * distance(near.position, hit.query.hit->p_star);
+        const std::size_t near = light - distant_lanes_;
+        const DirectionLanes l = lanesOf(block.near_direction, h * near_lanes_ + near);
+        direction = Direction<ObjectSpace>::fromUnit(Vec3{double{*l.x}, double{*l.y}, double{*l.z}});
+        far = kShortOfLight * distance(lights.near_lights[near].position, hit.query.hit->p_star);
       }
       if (at_rest) direction = Direction<ObjectSpace>::fromUnit((acquisition_from_object * direction).raw());
       rays.push_back({origins[h], direction});
@@ -249,8 +255,15 @@ void GuidedLighting::share(const VisibilityBits& bits, std::uint32_t list, const
   if (lists_[list].in_order) {
     // The list may be shorter than a row, and its padding longer.
     const std::size_t columns = std::min(shares.size(), 64 * bits.wordsPerPoint());
-    return shareBits(rows, hit.weight, hit.count, columns, shares.data());
+    std::fill(shares.begin() + static_cast<std::ptrdiff_t>(columns), shares.end(), 0.f);
+    const auto like_first = [&](const std::uint64_t* row) { return sameWords(row, rows[0], bits.wordsPerPoint()); };
+    if (!std::all_of(rows + 1, rows + hit.count, like_first))
+      return shareBits(rows, hit.weight, hit.count, columns, shares.data());
+    float weight = 0;  // as they add up one after the other
+    for (int i = 0; i < hit.count; ++i) weight += hit.weight[i];
+    return shareBits(rows, &weight, 1, columns, shares.data());
   }
+  std::fill(shares.begin(), shares.end(), 0.f);
   const std::vector<LightId>& ids = lighting_.lists()[list].ids();
   for (std::size_t i = 0; i < ids.size(); ++i) {
     float sum = 0;
@@ -269,28 +282,67 @@ CapturedLanes GuidedLighting::readCaptured(std::uint32_t list_index, GuidedBlock
     for (const std::uint32_t i : list.usable()) putCaptured(list, i, hit.query.look_up->p, block.captured);
   }
   const CapturedLanes captured = (list.distant() ? lists_[list_index].captured : block.captured).lanes();
-  for (std::vector<float>* of : {&block.lit, &block.usable, &block.facing}) of->assign(lanes, 0);
-  share(fit_.lit, list_index, *hit.query.hit, block.lit);
-  share(fit_.lit_around, list_index, *hit.query.hit, block.usable);
-  block.disagree.assign(lanes, 0);
-  if (corrected_) {
-    share(fit_.lit_by_rays, list_index, *hit.query.hit, block.disagree);
+  for (std::vector<float>* of : {&block.lit, &block.usable, &block.facing, &block.disagree, &block.gate})
+    of->resize(lanes);
+  const SurfaceHit& surface = *hit.query.hit;
+  const std::span points(surface.point, static_cast<std::size_t>(surface.count));
+  const std::size_t words = fit_.lit.wordsPerPoint();
+  share(fit_.lit, list_index, surface, block.lit);
+  share(fit_.lit_around, list_index, surface, block.usable);
+  block.disagrees = corrected_ && std::any_of(points.begin(), points.end(), [&](std::uint32_t p) {
+                      return !sameWords(fit_.lit.row(p), fit_.lit_by_rays.row(p), words);
+                    });
+  if (block.disagrees) {
+    share(fit_.lit_by_rays, list_index, surface, block.disagree);
     for (std::size_t i = 0; i < lanes; ++i)
       block.disagree[i] = captured.known[i] * std::fabs(block.lit[i] - block.disagree[i]);
   }
-  block.gate.assign(lanes, 0);
-  if (!options_.model_alone) share(fit_.worse, list_index, *hit.query.hit, block.gate);
-  block.same_gate = std::all_of(block.gate.begin(), block.gate.end(), [](float worse) { return worse == 0; });
-  for (float& gate : block.gate) gate = hit.gate * (1 - gate);
+  block.same_gate =
+      options_.model_alone || std::none_of(points.begin(), points.end(), [&](std::uint32_t p) {
+        return std::any_of(fit_.worse.row(p), fit_.worse.row(p) + words, [](std::uint64_t word) { return word != 0; });
+      });
+  if (block.same_gate) {
+    std::fill(block.gate.begin(), block.gate.end(), hit.gate);
+  } else {
+    share(fit_.worse, list_index, surface, block.gate);
+    for (float& gate : block.gate) gate = hit.gate * (1 - gate);
+  }
   facingCaptured(hit.reflectance.normal, captured, lanes, block.lit.data(), block.usable.data(), block.facing.data());
   return captured;
 }
 
-float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, std::uint32_t list_index,
-                             const CapturedLanes& captured, const Direction<AcquisitionSpace>& direction, float cosine,
-                             LightSight sight, const std::array<float, 3>& e) const {
+void GuidedLighting::findNear(GuidedBlock& block, std::uint32_t list_index) const {
+  block.near_weights.resize(lists_.size());
+  GuidedBlock::Nearest& found = block.near_weights[list_index];
+  const auto cells = lighting_.lists()[list_index].cells();
+  if (!found.weight.empty() || !(lighting_.options().sharing > 0) || !cells) return;
+  const std::vector<NearLight>& lights = lighting_.lights().near_lights;
+  const std::size_t lanes = paddedLanes(block.hits.size()),
+                    k = static_cast<std::size_t>(lighting_.lists()[list_index].k());
+  found.weight.resize(lights.size() * k * lanes);
+  found.light.resize(found.weight.size());
+  block.near_cells.resize(lanes);
+  for (auto& axis : block.reach) axis.assign(std::max(axis.size(), lanes), 0);
+  float *const x = block.reach[0].data(), *const y = block.reach[1].data(), *const z = block.reach[2].data();
+  for (std::size_t l = 0; l < lights.size(); ++l) {
+    for (std::size_t h = 0; h < lanes; ++h) {
+      const std::size_t at = std::min(h, block.hits.size() - 1);
+      const DirectionLanes d = lanesOf(block.near_direction, at * near_lanes_ + l);
+      const Vec3 direction =
+          block.hits[at].query.look_up->acquisition_from_object.raw() * Vec3{double{*d.x}, double{*d.y}, double{*d.z}};
+      x[h] = static_cast<float>(direction.x), y[h] = static_cast<float>(direction.y);
+      z[h] = static_cast<float>(direction.z);
+    }
+    lightCells(x, y, z, lanes, cells->resolution, block.near_cells.data());
+    nearestWeights(*cells, x, y, z, block.near_cells.data(), block.hits.size(), static_cast<int>(k), lanes,
+                   &found.weight[l * k * lanes], &found.light[l * k * lanes]);
+  }
+}
+
+float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, const CapturedLanes& captured,
+                             const Direction<AcquisitionSpace>& direction, float cosine, LightSight sight,
+                             const std::array<float, 3>& e) const {
   const bool off = options_.shadows == Shadows::off;
-  lighting_.lists()[list_index].nearest(direction, hit.query.look_up->p, block.order, block.weights);
   const std::array<float, 3> l = floats(direction.raw());
   const auto [x, y, z] = captured.direction;
   // What the captured lights about this one say: of the shadow, those that shine on the surface at all; and how far
@@ -302,7 +354,7 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, st
     lit_facing += w * block.facing[i] * block.lit[i];
     facing += w * block.facing[i];
     usable += w * block.usable[i];
-    disagree += w * block.disagree[i];
+    if (block.disagrees) disagree += w * block.disagree[i];
     gate += w * block.gate[i];
     nearest = std::min(nearest, square(l[0] - x[i]) + square(l[1] - y[i]) + square(l[2] - z[i]));
   }
@@ -329,10 +381,8 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, st
         std::min(kMostRatio, cosine / std::max(dot3(hit.reflectance.normal, x[i], y[i], z[i]), kCosine));
     const float from_lit = w * gate * relit * block.usable[i] * ratio, from_all = w * gate * as_is;
     const float photograph = from_lit + from_all + w * (1 - gate), model = from_lit + from_all * block.lit[i];
-    for (int c = 0; c < 3; ++c) {
-      block.photograph[c][i] += photograph * e[c];
-      block.model[c][i] += model * e[c];
-    }
+    block.singles.push_back(
+        {i, {photograph * e[0], photograph * e[1], photograph * e[2]}, {model * e[0], model * e[1], model * e[2]}});
   }
   return gate * shown;
 }
@@ -348,8 +398,8 @@ const SharedStandIns::Corner& GuidedLighting::corner(GuidedBlock& block, int slo
   return *block.last_corner[slot];
 }
 
-std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list_index,
-                                                  const CapturedLanes& captured) const {
+ResidualShares GuidedLighting::spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list_index,
+                                            std::array<float, 3>& sum) const {
   const GuidedBlock::Hit& hit = block.hits[index];
   const AcquiredLights& list = lighting_.lists()[list_index];
   const std::size_t pad = lightPad(list.count());
@@ -362,61 +412,44 @@ std::array<float, 3> GuidedLighting::spreadShared(GuidedBlock& block, std::size_
   for (int i = 0; i < 4; ++i) {
     if (!(blend.share[i] > 0)) continue;
     const SharedStandIns::Corner& at = corner(block, i, {list_index, blend.corner[i]});
-    vectors[i] = at.weights.data();
+    vectors[i] = at.irradiance.data();
     if (blend.share[i] > most) most = blend.share[i], nearest = &at;
   }
 
   // What reaches the surface of each light, and of what lies about each captured one. What no ray was sent to is as
   // the captured light about it, where that can tell; where photographs overrule the rays, these count as far less.
-  for (std::vector<float>* of : {&block.unasked, &block.asked, &block.offset}) of->resize(pad);
-  float correct = 0;
-  for (std::size_t i = 0; i < pad; ++i) {
-    const float lit = block.lit[i], disagree = off ? 0 : block.disagree[i];
-    correct = std::max(correct, disagree);
-    const float unasked = block.facing[i] > 0 ? lit : 1;
-    block.unasked[i] = unasked + disagree * (lit - unasked);
-    block.asked[i] = 1 - disagree;
-    block.offset[i] = disagree * lit;
-  }
-  block.positions.resize(distant_lanes_);
-  block.shown_energy.resize(distant_lanes_);
-  std::size_t count = 0;
-  std::array<float, 3> sum =
-      distantSums(hit.model, hit.model_view, {lanesOf(direction_), energy_.data(), channels(irradiance_)},
-                  block.sight.data() + index * row(), nearest->nearest.data(),
-                  {block.unasked.data(), correct > 0 ? block.asked.data() : nullptr, block.offset.data(),
-                   block.same_gate ? nullptr : block.gate.data()},
-                  distant_lanes_, block.positions.data(), block.shown_energy.data(), count);
-  block.model_values += count;
+  block.shown.resize(3 * pad);
+  shownBySight(block.lit.data(), block.facing.data(), block.disagrees && !off ? block.disagree.data() : nullptr, pad,
+               block.shown.data());
+  block.energy.assign(4 * pad, 0);
+  std::size_t facing = 0;
+  sum = distantSums(hit.model, hit.model_view, {lanesOf(direction_), energy_.data(), channels(irradiance_)},
+                    block.sight.data() + index * row(), nearest->nearest.data(),
+                    {block.shown.data(), pad, block.same_gate ? nullptr : block.gate.data()}, distant_lanes_,
+                    block.energy.data(), facing);
+  block.model_values += facing;
   if (block.same_gate)
     for (float& channel : sum) channel *= hit.gate;
-  if (options_.model_alone) return sum;
-
-  block.shown.assign(pad, 0);
-  block.all.assign(pad, 0);
-  for (std::size_t i = 0; i < count; ++i) {
-    const std::uint32_t k = block.positions[i], about = nearest->nearest[k];
-    block.shown[about] += block.shown_energy[k];
-    block.all[about] += energy_[k];
-  }
 
   // The residual as it is, and the lit one: of each captured light as much as of the light about it is shown; together
   // what reaches the surface.
-  for (auto& vector : vectors)
-    if (!vector) vector = nearest->weights.data();  // its share is 0
-  block.shared.assign(3 * pad, 0);
-  addBlend(block.shared.data(), blend.share, vectors, static_cast<int>(3 * pad));
-  const ResidualShares shares{hit.indirect,
-                              hit.indirect_shadow,
-                              !off,
-                              block.shown.data(),
-                              block.all.data(),
-                              block.gate.data(),
-                              block.lit.data(),
-                              block.usable.data(),
-                              {block.shared.data(), block.shared.data() + pad, block.shared.data() + 2 * pad}};
-  residualAmounts(shares, captured, kMostRatio, pad, channels<float>(block.photograph), channels<float>(block.model));
-  return sum;
+  const float* shared = nearest->irradiance.data();
+  if (most < 1) {
+    for (auto& vector : vectors)
+      if (!vector) vector = shared;  // its share is 0
+    block.shared.resize(3 * pad);
+    blendVectors(vectors, blend.share, 3 * pad, block.shared.data());
+    shared = block.shared.data();
+  }
+  return {hit.indirect,
+          hit.indirect_shadow,
+          kMostRatio,
+          !off,
+          block.energy.data(),
+          block.gate.data(),
+          block.lit.data(),
+          block.usable.data(),
+          {shared, shared + pad, shared + 2 * pad}};
 }
 
 std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std::uint32_t list_index, LightGather& out,
@@ -434,22 +467,25 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   };
 
   const CapturedLanes captured = readCaptured(list_index, block, hit);
-  for (int c = 0; c < 3; ++c) {
-    block.photograph[c].assign(pad, 0);
-    block.model[c].assign(pad, 0);
-    block.reach[c].assign(std::max(distant_lanes_, near_lanes_), 0);
-  }
   // What reaches the eye by the model, and what stands for it among the photographs.
   // Few lights are taken one by one: only so the photograph returns near a captured one.
-  if (lighting_.shares(list_index) && lights.distant.size() >= FrameLighting::kFewestShared) {
-    add(list_share, spreadShared(block, index, list_index, captured));
+  const bool shared = lighting_.shares(list_index) && lights.distant.size() >= FrameLighting::kFewestShared;
+  block.singles.clear();
+  for (auto& channel : block.reach) channel.resize(std::max({distant_lanes_, near_lanes_, channel.size()}));
+  ResidualShares shares{};
+  if (shared) {
+    std::array<float, 3> sum;
+    shares = spreadShared(block, index, list_index, sum);
+    add(list_share, sum);
   } else if (!lights.distant.empty()) {
+    for (auto& channel : block.reach) std::fill(channel.begin(), channel.end(), 0.f);
     for (std::size_t k = 0; k < lights.distant.size(); ++k) {
       const std::array<float, 3> e{irradiance_[0][k], irradiance_[1][k], irradiance_[2][k]};
-      const float shown =
-          spread(block, hit, list_index, captured, look_up.acquisition_from_object * lights.distant[k].direction,
-                 dot3(hit.model.n, direction_[0][k], direction_[1][k], direction_[2][k]),
-                 static_cast<LightSight>(block.sight[index * row() + k]), e);
+      const Direction<AcquisitionSpace> direction = look_up.acquisition_from_object * lights.distant[k].direction;
+      list.nearest(direction, look_up.p, block.order, block.weights);
+      const float shown = spread(block, hit, captured, direction,
+                                 dot3(hit.model.n, direction_[0][k], direction_[1][k], direction_[2][k]),
+                                 static_cast<LightSight>(block.sight[index * row() + k]), e);
       for (int c = 0; c < 3; ++c) block.reach[c][k] = shown * e[c];
     }
     add(list_share, modelSums(hit.model, &hit.model_view, 1, lanesOf(direction_), channels(std::as_const(block.reach)),
@@ -457,15 +493,23 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
     block.model_values += lights.distant.size();
   }
   if (near_count > 0) {
-    for (auto& channel : block.reach) std::fill(channel.begin(), channel.end(), 0.f);
+    findNear(block, list_index);
+    const GuidedBlock::Nearest& found = block.near_weights[list_index];
+    for (auto& channel : block.reach) std::fill_n(channel.begin(), near_lanes_, 0.f);
     const DirectionLanes l = lanesOf(block.near_direction, index * near_lanes_);
     for (std::size_t k = 0; k < near_count; ++k) {
       const std::array<float, 3> e = floats(block.near_irradiance[index * near_count + k]);
-      const Vector<ObjectSpace> to_light = lights.near_lights[k].position - hit.query.hit->p_star;
-      const Direction<ObjectSpace> direction =
-          normalize(to_light).value_or(look_up.acquisition_from_object.inverse() * look_up.normal);
-      const float shown = spread(block, hit, list_index, captured, look_up.acquisition_from_object * direction,
-                                 dot3(hit.model.n, l.x[k], l.y[k], l.z[k]),
+      const auto direction = look_up.acquisition_from_object *
+                             Direction<ObjectSpace>::fromUnit(Vec3{double{l.x[k]}, double{l.y[k]}, double{l.z[k]}});
+      block.weights.clear();
+      const std::size_t lanes = paddedLanes(block.hits.size());
+      for (std::size_t j = 0; !found.weight.empty() && j < static_cast<std::size_t>(list.k()); ++j) {
+        const std::size_t at = (k * list.k() + j) * lanes + index;
+        if (!(found.weight[at] > 0)) break;  // by falling weight
+        block.weights.push_back({found.light[at], found.weight[at]});
+      }
+      if (block.weights.empty()) list.nearest(direction, look_up.p, block.order, block.weights);
+      const float shown = spread(block, hit, captured, direction, dot3(hit.model.n, l.x[k], l.y[k], l.z[k]),
                                  static_cast<LightSight>(block.sight[index * row() + distant_lanes_ + k]), e);
       for (int c = 0; c < 3; ++c) block.reach[c][k] = shown * e[c];
     }
@@ -483,8 +527,8 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
       l[c].assign(kVectorLanes, direction[c]);
       e[c].assign(kVectorLanes, 0);
       e[c][0] = block.gate[*at] * static_cast<float>(rest.scale) * block.lit[*at] * captured.irradiance[c][*at];
-      if (!options_.model_alone) block.model[c][*at] += e[c][0];
     }
+    if (!options_.model_alone) block.singles.push_back({*at, {0, 0, 0}, {e[0][0], e[1][0], e[2][0]}});
     ModelOfPoint model = modelOfPoint(hit.reflectance);
     const ModelView view = addView(model, hit.reflectance, floats(hit.query.view.raw()), 1);
     add(list_share, modelSums(model, &view, 1, lanesOf(l), channels(std::as_const(e)), kVectorLanes));
@@ -495,22 +539,48 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   // Only the captured lights that count are evaluated for the views.
   LightWeights weights;
   weights.first_entry = static_cast<std::uint32_t>(out.entries.size());
-  weights.own = static_cast<std::uint32_t>(out.own.size());
-  out.own.resize(out.own.size() + 3 * pad);
-  float* const own = out.own.data() + weights.own;
+  if (options_.model_alone) return out.append(weights, list.count());
+  block.own.resize(3 * pad);
+  float* const own = block.own.data();
+  const bool few = shared;  // single lights: added to what stands for the others
+  if (!few) {
+    for (int c = 0; c < 3; ++c) {
+      block.photograph[c].assign(pad, 0);
+      block.model[c].assign(pad, 0);
+    }
+    for (const GuidedBlock::Single& one : block.singles)
+      for (int c = 0; c < 3; ++c) {
+        block.photograph[c][one.light] += one.photograph[c];
+        block.model[c][one.light] += one.model[c];
+      }
+  }
   for (int c = 0; c < 3; ++c) {
-    block.used_direction[c].resize(pad);
-    block.used_amount[c].resize(pad);
+    block.used_direction[c].resize(paddedLanes(pad + (few ? block.singles.size() : 0)));
+    block.used_amount[c].resize(block.used_direction[c].size());
   }
   std::size_t photographs = 0;
-  const std::size_t used =
-      usedLights(captured, pad, channels(std::as_const(block.photograph)), channels(std::as_const(block.model)),
-                 {own, own + pad, own + 2 * pad},
+  const ResidualAmounts amounts{channels(std::as_const(block.photograph)), channels(std::as_const(block.model))};
+  std::size_t used =
+      usedLights(captured, pad, shared ? &shares : nullptr, few ? nullptr : &amounts, {own, own + pad, own + 2 * pad},
                  {channels<float>(block.used_direction), channels<float>(block.used_amount)}, photographs);
-  if (!options_.model_alone)
-    for (const RestLight& rest : lights.rest)
-      if (const auto at = list.find(rest.light))
-        for (int c = 0; c < 3; ++c) own[c * pad + *at] += static_cast<float>(rest.scale);
+  if (few && !block.singles.empty()) {
+    const std::array<const float*, 3> direction{captured.direction.x, captured.direction.y, captured.direction.z};
+    for (const GuidedBlock::Single& one : block.singles) {
+      for (int c = 0; c < 3; ++c) {
+        const float inverse = captured.inverse[c][one.light];
+        own[c * pad + one.light] += one.photograph[c] * inverse;
+        block.used_direction[c][used] = direction[c][one.light];
+        block.used_amount[c][used] = inverse > 0 ? one.model[c] : 0;
+      }
+      ++used;
+    }
+    photographs += block.singles.size();
+    for (std::size_t i = used; i < paddedLanes(used); ++i)
+      for (int c = 0; c < 3; ++c) block.used_direction[c][i] = c == 2, block.used_amount[c][i] = 0;
+  }
+  for (const RestLight& rest : lights.rest)
+    if (const auto at = list.find(rest.light))
+      for (int c = 0; c < 3; ++c) own[c * pad + *at] += static_cast<float>(rest.scale);
   if (used > 0) {
     ModelOfPoint model = modelOfPoint(hit.reflectance);
     block.model_views.clear();
@@ -528,8 +598,9 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
       const Rgb photograph{own[i], own[pad + i], own[2 * pad + i]};
       if (photograph != Rgb{}) out.entries.push_back({i, photograph});
     }
-    out.own.resize(weights.own);
-    weights.own = LightWeights::kNone;
+  } else {
+    weights.own = static_cast<std::uint32_t>(out.own.size());
+    out.own.insert(out.own.end(), own, own + 3 * pad);
   }
   return out.append(weights, list.count());
 }

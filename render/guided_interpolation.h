@@ -49,6 +49,14 @@ struct GuidedBlock {
   };
   std::vector<Hit> hits;
   std::vector<std::int8_t> sight;  ///< LightSight of each hit and light of the frame (distant, then near)
+  /// Of each near light and list the captured lights nearest to it as the hits see it (FrameLighting::Options::sharing
+  /// allowing): weight and position of number j at [(light * k + j) * lanes + hit].
+  struct Nearest {
+    std::vector<float> weight;
+    std::vector<std::uint32_t> light;
+  };
+  std::vector<Nearest> near_weights;  ///< of each list; empty: not found yet, or each for itself
+  std::vector<std::int32_t> near_cells;
   /// Of each hit and near light: direction in object space; irradiance on a plane facing it.
   std::array<std::vector<float>, 3> near_direction;
   std::vector<Vec3> near_irradiance;
@@ -67,12 +75,18 @@ struct GuidedBlock {
   // and whether it is the same for all.
   Captured captured;
   std::vector<float> lit, facing, usable, disagree, gate;
-  bool same_gate = true;
-  std::array<std::vector<float>, 3> photograph, model;  ///< what the photographs, and the model of them, count
-  std::array<std::vector<float>, 3> reach;              ///< of lights of the frame: irradiance that counts
+  bool disagrees = false, same_gate = true;
+  /// Lights of the frame that are spread by themselves: what a captured light's photograph, and the model of it, count.
+  struct Single {
+    std::uint32_t light;
+    std::array<float, 3> photograph, model;
+  };
+  std::vector<Single> singles;
+  std::array<std::vector<float>, 3> photograph, model;            ///< their sums, where there are many
+  std::array<std::vector<float>, 3> reach;                        ///< of lights of the frame: irradiance that counts
   std::array<std::vector<float>, 3> used_direction, used_amount;  ///< of the captured lights that the residual uses
-  std::vector<float> unasked, asked, offset;                      ///< CapturedShadow
-  std::vector<float> shared, shown, all, keys, shown_energy;
+  std::vector<float> shown, energy;                               ///< CapturedShadow, and of distantSums
+  std::vector<float> shared, keys, own;
   std::vector<std::uint32_t> positions;
   std::vector<ModelView> model_views;
   std::array<SharedKey, 4> last_key;  ///< the corners that the hit before asked for
@@ -82,6 +96,11 @@ struct GuidedBlock {
   // Memory of the shadow rays.
   std::vector<std::pair<std::uint32_t, std::uint32_t>> rays_wanted;  ///< (light, hit)
   std::vector<std::uint32_t> ray_order, first_ray;
+  struct Rays {
+    std::vector<Ray<ObjectSpace>> ray;
+    std::vector<double> far_distance;
+    std::vector<std::uint8_t> blocked;
+  } rays;
 };
 
 /// The lights of one frame, guided by the fit.
@@ -118,15 +137,16 @@ class GuidedLighting {
   /// Fills what the captured lights of a list say of a hit, and returns where they stand.
   CapturedLanes readCaptured(std::uint32_t list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
   void share(const VisibilityBits& bits, std::uint32_t list, const SurfaceHit& hit, std::vector<float>& shares) const;
-  /// Spreads one light over captured ones, by itself: adds to block.photograph and block.model, and returns how much of
-  /// it the model's part shows, the gate in it.
-  float spread(GuidedBlock& block, const GuidedBlock::Hit& hit, std::uint32_t list, const CapturedLanes& captured,
+  /// Finds block.near_weights of a list, where the kernels can.
+  void findNear(GuidedBlock& block, std::uint32_t list) const;
+  /// Spreads one light over the captured ones of block.weights, by itself: adds to block.singles, and
+  /// returns how much of it the model's part shows, the gate in it.
+  float spread(GuidedBlock& block, const GuidedBlock::Hit& hit, const CapturedLanes& captured,
                const Direction<AcquisitionSpace>& direction, float cosine, LightSight sight,
                const std::array<float, 3>& irradiance) const;
-  /// The same for all distant lights at once, by weights that hits of like orientation share; returns what the model
-  /// gives for them.
-  std::array<float, 3> spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list,
-                                    const CapturedLanes& captured) const;
+  /// How all distant lights at once are spread, by weights that hits of like orientation share.
+  ResidualShares spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list,
+                              std::array<float, 3>& sum) const;
   const SharedStandIns::Corner& corner(GuidedBlock& block, int slot, const SharedKey& key) const;
 
   const ReflectanceFit& fit_;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <type_traits>
 
 #include "base/numeric.h"
 #include "render/highway_targets.h"
@@ -53,25 +54,37 @@ V dot3(const std::array<float, 3>& a, V x, V y, V z) {
 }
 
 /// value[c] = sum over views of share M_c for lights at `cosine`; as modelTerms has it, with one division:
-/// D G1(l) G1(v) n.l / (4 n.l n.v) = lobe n.l |h|^4 / ((n.l + s_l) (..)^2).
-template <class Value>
+/// D G1(l) G1(v) n.l / (4 n.l n.v) = lobe n.l |h|^4 / ((n.l + s_l) (..)^2). Where both roughnesses are the same,
+/// (t.h)^2 + (b.h)^2 = |h|^2 - (n.h)^2 does without t and b.
+template <bool kRound, bool kTransmits, class Value>
 HWY_INLINE void values(const ModelOfPoint& m, const ModelView* views, std::size_t view_count, V x, V y, V z, V cosine,
                        const Value& value) {
   const F f;
   const V one = hn::Set(f, 1.f), zero = hn::Zero(f);
   const V nl = hn::Max(cosine, zero);
-  const V tl = dot3(m.t, x, y, z), bl = dot3(m.b, x, y, z);
-  const V s = hn::Sqrt(
-      hn::MulAdd(hn::Mul(tl, tl), hn::Set(f, m.ax2), hn::MulAdd(hn::Mul(bl, bl), hn::Set(f, m.ay2), hn::Mul(nl, nl))));
+  V tl = zero, bl = zero, s = hn::Mul(nl, nl);
+  if constexpr (kRound) {
+    s = hn::Sqrt(hn::MulAdd(s, hn::Set(f, 1 - m.ax2), hn::Set(f, m.ax2)));
+  } else {
+    tl = dot3(m.t, x, y, z), bl = dot3(m.b, x, y, z);
+    s = hn::Sqrt(hn::MulAdd(hn::Mul(tl, tl), hn::Set(f, m.ax2), hn::MulAdd(hn::Mul(bl, bl), hn::Set(f, m.ay2), s)));
+  }
   const V masked = hn::Add(hn::Add(nl, s), hn::Set(f, 1e-12f));
   V specular = zero, fresnel = zero;
   for (std::size_t i = 0; i < view_count; ++i) {
     const ModelView& view = views[i];
     const V half2 = hn::Max(hn::MulAdd(hn::Set(f, 2.f), dot3(view.v, x, y, z), hn::Set(f, 2.f)), hn::Set(f, 1e-6f));
-    const V nh = hn::Add(nl, hn::Set(f, view.nv)), th = hn::Add(tl, hn::Set(f, view.tv)),
-            bh = hn::Add(bl, hn::Set(f, view.bv));
-    const V slope = hn::MulAdd(hn::Mul(th, th), hn::Set(f, m.inverse_ax2),
-                               hn::MulAdd(hn::Mul(bh, bh), hn::Set(f, m.inverse_ay2), hn::Mul(nh, nh)));
+    const V nh = hn::Add(nl, hn::Set(f, view.nv));
+    V slope = hn::Mul(nh, nh);
+    if constexpr (kRound) {
+      // No less than |h|^2 where the light is above the horizon; elsewhere the lobe counts nothing, but is finite.
+      slope =
+          hn::Max(half2, hn::MulAdd(half2, hn::Set(f, m.inverse_ax2), hn::Mul(slope, hn::Set(f, 1 - m.inverse_ax2))));
+    } else {
+      const V th = hn::Add(tl, hn::Set(f, view.tv)), bh = hn::Add(bl, hn::Set(f, view.bv));
+      slope = hn::MulAdd(hn::Mul(th, th), hn::Set(f, m.inverse_ax2),
+                         hn::MulAdd(hn::Mul(bh, bh), hn::Set(f, m.inverse_ay2), slope));
+    }
     const V lobe =
         hn::Div(hn::Mul(hn::Set(f, view.share), hn::Mul(half2, half2)), hn::Mul(masked, hn::Mul(slope, slope)));
     specular = hn::Add(specular, lobe);
@@ -80,12 +93,29 @@ HWY_INLINE void values(const ModelOfPoint& m, const ModelView* views, std::size_
   }
   specular = hn::Mul(specular, nl);
   fresnel = hn::Mul(fresnel, nl);
-  const V transmitted = hn::NegMulAdd(nl, fifth(hn::Sub(one, nl)), nl);
-  for (int c = 0; c < 3; ++c)
-    value(c, hn::MulAdd(hn::Set(f, m.fresnel[c]), fresnel,
-                        hn::MulAdd(hn::Set(f, m.specular[c]), specular,
-                                   hn::MulAdd(hn::Set(f, m.transmitted[c]), transmitted,
-                                              hn::Mul(hn::Set(f, m.lambert[c]), nl)))));
+  V transmitted = zero;
+  if constexpr (kTransmits) transmitted = hn::NegMulAdd(nl, fifth(hn::Sub(one, nl)), nl);
+  for (int c = 0; c < 3; ++c) {
+    V diffuse = hn::Mul(hn::Set(f, m.lambert[c]), nl);
+    if constexpr (kTransmits) diffuse = hn::MulAdd(hn::Set(f, m.transmitted[c]), transmitted, diffuse);
+    value(c, hn::MulAdd(hn::Set(f, m.fresnel[c]), fresnel, hn::MulAdd(hn::Set(f, m.specular[c]), specular, diffuse)));
+  }
+}
+
+/// Calls run with the two choices of values() that fit the point. A view below the horizon counts as one at it: there
+/// |h| is not made of n.h, t.h and b.h.
+template <class Run>
+HWY_INLINE void withKind(const ModelOfPoint& m, const ModelView* views, std::size_t view_count, const Run& run) {
+  constexpr float kSharpest = 0.08f;  // below, differences of |h|^2 and (n.h)^2 lose too many digits
+  bool round = m.ax2 == m.ay2 && m.ax2 > kSharpest * kSharpest && m.ax2 <= 1;
+  for (std::size_t i = 0; i < view_count; ++i) round &= views[i].above;
+  const bool transmits = std::max({m.transmitted[0], m.transmitted[1], m.transmitted[2]}) > 0;
+  const std::true_type yes;
+  const std::false_type no;
+  if (round)
+    transmits ? run(yes, yes) : run(yes, no);
+  else
+    transmits ? run(no, yes) : run(no, no);
 }
 
 void sums(const ModelOfPoint& m, const ModelView* views, std::size_t view_count, const DirectionLanes& lights,
@@ -94,14 +124,31 @@ void sums(const ModelOfPoint& m, const ModelView* views, std::size_t view_count,
   V sum[3][kParts];
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
-  for (std::size_t i = 0; i < count; i += kVectorLanes)
-    for (std::size_t p = 0; p < kParts; ++p) {
-      const std::size_t at = i + p * kLanes;
-      const V x = hn::LoadU(f, lights.x + at), y = hn::LoadU(f, lights.y + at), z = hn::LoadU(f, lights.z + at);
-      values(m, views, view_count, x, y, z, dot3(m.n, x, y, z),
-             [&](int c, V value) { sum[c][p] = hn::MulAdd(hn::LoadU(f, amount[c] + at), value, sum[c][p]); });
-    }
+  withKind(m, views, view_count, [&](auto round, auto transmits) {
+    for (std::size_t i = 0; i < count; i += kVectorLanes)
+      for (std::size_t p = 0; p < kParts; ++p) {
+        const std::size_t at = i + p * kLanes;
+        V amounts[3];
+        for (int c = 0; c < 3; ++c) amounts[c] = hn::LoadU(f, amount[c] + at);
+        const V any = hn::Or(amounts[0], hn::Or(amounts[1], amounts[2]));
+        if (hn::AllTrue(f, hn::Eq(any, hn::Zero(f)))) continue;
+        const V x = hn::LoadU(f, lights.x + at), y = hn::LoadU(f, lights.y + at), z = hn::LoadU(f, lights.z + at);
+        values<round.value, transmits.value>(m, views, view_count, x, y, z, dot3(m.n, x, y, z), [&](int c, V value) {
+          sum[c][p] = hn::MulAdd(amounts[c], value, sum[c][p]);
+        });
+      }
+  });
   for (int c = 0; c < 3; ++c) result[c] = fold(sum[c]);
+}
+
+void blend(const std::array<const float*, 4>& vector, const std::array<float, 4>& share, std::size_t count,
+           float* sum) {
+  const F f;
+  for (std::size_t i = 0; i < count; i += kLanes) {
+    V of = hn::Mul(hn::Set(f, share[0]), hn::LoadU(f, vector[0] + i));
+    for (int j = 1; j < 4; ++j) of = hn::MulAdd(hn::Set(f, share[j]), hn::LoadU(f, vector[j] + i), of);
+    hn::StoreU(of, f, sum + i);
+  }
 }
 
 void keys(const std::array<float, 3>& n, const DirectionLanes& lights, const float* energy, std::size_t count,
@@ -113,7 +160,8 @@ void keys(const std::array<float, 3>& n, const DirectionLanes& lights, const flo
   }
 }
 
-std::size_t largest(const float* key, std::size_t count, std::size_t most, std::uint32_t* position) {
+std::size_t largest(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
+                    std::int32_t& about) {
   // Not negative: as integers they are in the same order.
   const I d;
   const auto* bits = reinterpret_cast<const std::int32_t*>(key);
@@ -125,16 +173,23 @@ std::size_t largest(const float* key, std::size_t count, std::size_t most, std::
   };
   std::int32_t low = 1;
   if (at_least(low) > most) {
-    auto greatest = hn::Zero(d);
-    for (std::size_t i = 0; i < count; i += kLanes) greatest = hn::Max(greatest, hn::LoadU(d, bits + i));
-    std::int32_t high = hn::GetLane(hn::MaxOfLanes(d, greatest)) + 1;
     // More than `most` are at least `low`, fewer are at least `high`; until they are as many, or the rest are equal.
-    while (high - low > 1) {
-      const std::int32_t middle = low + (high - low) / 2;
+    // First in growing steps away from where it was last.
+    std::int32_t high = 0x7fffffff, step = 1 << 19;
+    bool up = false, down = false;
+    for (std::int32_t middle = std::clamp(about, 2, high - 1); high - low > 1;) {
       const std::size_t found = at_least(middle);
       (found >= most ? low : high) = middle;
       if (found == most) break;
+      (found > most ? up : down) = true;
+      if (up && down) {
+        middle = low + (high - low) / 2;
+      } else {
+        middle = up ? low + std::min(step, (high - low + 1) / 2) : high - std::min(step, (high - low + 1) / 2);
+        step = std::min(2 * step, 1 << 28);
+      }
     }
+    about = low;
   }
   std::size_t found = 0;
   for (std::size_t i = 0; i < count; i += kLanes)
@@ -148,43 +203,60 @@ std::size_t largest(const float* key, std::size_t count, std::size_t most, std::
   return found;
 }
 
+void shownTable(const float* lit, const float* facing, const float* disagree, std::size_t count, float* shown) {
+  const F f;
+  const V one = hn::Set(f, 1.f), zero = hn::Zero(f);
+  for (std::size_t i = 0; i < count; i += kLanes) {
+    const V light = hn::LoadU(f, lit + i), off = disagree ? hn::LoadU(f, disagree + i) : zero;
+    const V unasked = hn::IfThenElse(hn::Gt(hn::LoadU(f, facing + i), zero), light, one);
+    const V hidden = hn::Mul(off, light);
+    hn::StoreU(hn::MulAdd(off, hn::Sub(light, unasked), unasked), f, shown + i);
+    hn::StoreU(hidden, f, shown + count + i);
+    hn::StoreU(hn::Add(hn::Sub(one, off), hidden), f, shown + 2 * count + i);
+  }
+}
+
 void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& lights, const std::int8_t* sight,
-             const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count, std::uint32_t* facing,
-             float* shown_energy, std::size_t& facing_count, std::array<float, 3>& result) {
+             const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count, float* energy_about,
+             std::size_t& facing, std::array<float, 3>& result) {
   const F f;
   const I d;
   const hn::Rebind<std::int8_t, F> bytes;
+  const hn::FixedTag<float, 2> two;
+  const auto stride = hn::Set(d, static_cast<std::int32_t>(shadow.stride));
   V sum[3][kParts];
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
-  std::size_t found = 0;
-  for (std::size_t i = 0; i < count; i += kVectorLanes)
-    for (std::size_t p = 0; p < kParts; ++p) {
-      const std::size_t at = i + p * kLanes;
-      const V x = hn::LoadU(f, lights.direction.x + at), y = hn::LoadU(f, lights.direction.y + at),
-              z = hn::LoadU(f, lights.direction.z + at);
-      const V cosine = dot3(m.n, x, y, z), energy = hn::LoadU(f, lights.energy + at);
-      const auto faces = hn::And(hn::Gt(cosine, hn::Zero(f)), hn::Gt(energy, hn::Zero(f)));
-      if (hn::AllFalse(f, faces)) continue;
-      const auto seen = hn::PromoteTo(d, hn::LoadU(bytes, sight + at));
-      const auto near = hn::LoadU(d, reinterpret_cast<const std::int32_t*>(about) + at);
-      const auto not_asked = hn::MaskFromVec(hn::BitCast(f, hn::VecFromMask(d, hn::Lt(seen, hn::Zero(d)))));
-      V shown = hn::ConvertTo(f, seen);
-      if (shadow.asked)
-        shown = hn::MulAdd(shown, hn::GatherIndex(f, shadow.asked, near), hn::GatherIndex(f, shadow.offset, near));
-      if (!hn::AllFalse(f, not_asked))
-        shown = hn::IfThenElse(not_asked, hn::GatherIndex(f, shadow.unasked, near), shown);
-      shown = hn::IfThenElseZero(faces, shown);
-      hn::StoreU(hn::Mul(shown, energy), f, shown_energy + at);
-      for (unsigned rest = bitsOf(f, faces); rest; rest &= rest - 1)
-        facing[found++] = static_cast<std::uint32_t>(at + std::countr_zero(rest));
-      if (hn::AllTrue(f, hn::Eq(shown, hn::Zero(f)))) continue;
-      const V counts = shadow.trusted ? hn::Mul(shown, hn::GatherIndex(f, shadow.trusted, near)) : shown;
-      values(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
-        sum[c][p] = hn::MulAdd(hn::Mul(counts, hn::LoadU(f, lights.irradiance[c] + at)), value, sum[c][p]);
-      });
-    }
-  facing_count = found;
+  facing = 0;
+  withKind(m, &view, 1, [&](auto round, auto transmits) {
+    for (std::size_t i = 0; i < count; i += kVectorLanes)
+      for (std::size_t p = 0; p < kParts; ++p) {
+        const std::size_t at = i + p * kLanes;
+        const V x = hn::LoadU(f, lights.direction.x + at), y = hn::LoadU(f, lights.direction.y + at),
+                z = hn::LoadU(f, lights.direction.z + at);
+        const V cosine = dot3(m.n, x, y, z), energy = hn::LoadU(f, lights.energy + at);
+        const auto faces = hn::And(hn::Gt(cosine, hn::Zero(f)), hn::Gt(energy, hn::Zero(f)));
+        if (hn::AllFalse(f, faces)) continue;
+        const auto row = hn::Add(hn::PromoteTo(d, hn::LoadU(bytes, sight + at)), hn::Set(d, 1));
+        const auto near = hn::LoadU(d, reinterpret_cast<const std::int32_t*>(about) + at);
+        const V shown =
+            hn::IfThenElseZero(faces, hn::GatherIndex(f, shadow.shown, hn::Add(hn::Mul(row, stride), near)));
+        alignas(64) float energies[2 * kLanes];
+        hn::StoreInterleaved2(hn::Mul(shown, energy), hn::IfThenElseZero(faces, energy), f, energies);
+        facing += hn::CountTrue(f, faces);
+        // Neighbours in turn to two places: lights side by side mostly lie about the same captured one. Without
+        // branches.
+        for (std::size_t lane = 0; lane < kLanes; ++lane) {
+          float* const to = energy_about + std::size_t{4} * about[at + lane] + 2 * (lane % 2);
+          hn::Store(hn::Add(hn::Load(two, to), hn::Load(two, energies + 2 * lane)), two, to);
+        }
+        if (hn::AllTrue(f, hn::Eq(shown, hn::Zero(f)))) continue;
+        const V counts = shadow.trusted ? hn::Mul(shown, hn::GatherIndex(f, shadow.trusted, near)) : shown;
+        values<round.value, transmits.value>(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
+          sum[c][p] = hn::MulAdd(hn::Mul(counts, hn::LoadU(f, lights.irradiance[c] + at)), value, sum[c][p]);
+        });
+      }
+  });
   for (int c = 0; c < 3; ++c) result[c] = fold(sum[c]);
 }
 
@@ -214,77 +286,105 @@ void captured(const std::array<float, 3>& n, const CapturedLanes& lights, std::s
   }
 }
 
-void residual(const ResidualShares& s, const CapturedLanes& lights, float most_ratio, std::size_t count,
-              const std::array<float*, 3>& photograph, const std::array<float*, 3>& model) {
-  const F f;
-  const V zero = hn::Zero(f), one = hn::Set(f, 1.f);
-  struct Light {
-    V lit, amount_lit, as_is, irradiance[3];
-  };
-  const auto read = [&](std::size_t i) {
-    Light light;
-    const V all = hn::LoadU(f, s.all + i), shown = hn::Div(hn::LoadU(f, s.shown + i), all);
-    const auto some = hn::Gt(all, zero);
-    light.lit = hn::LoadU(f, s.lit + i);
-    light.amount_lit = hn::Mul(hn::LoadU(f, s.usable + i), hn::IfThenElse(some, shown, one));
-    light.as_is = s.as_is ? hn::MulAdd(hn::IfThenElse(some, shown, light.lit),
-                                       hn::Set(f, s.indirect - s.indirect_shadow), hn::Set(f, s.indirect_shadow))
-                          : zero;
-    for (int c = 0; c < 3; ++c)
-      light.irradiance[c] = hn::Mul(hn::LoadU(f, s.weight[c] + i), hn::LoadU(f, lights.irradiance[c] + i));
-    return light;
-  };
-  V standing[kParts], reaching[kParts];
-  for (std::size_t p = 0; p < kParts; ++p) standing[p] = reaching[p] = zero;
-  for (std::size_t i = 0; i < count; i += kVectorLanes)
-    for (std::size_t p = 0; p < kParts; ++p) {
-      const Light light = read(i + p * kLanes);
-      const V all = hn::Add(hn::Add(light.irradiance[0], light.irradiance[1]), light.irradiance[2]);
-      standing[p] = hn::MulAdd(light.amount_lit, all, standing[p]);
-      reaching[p] = hn::Add(reaching[p], hn::LoadU(f, s.shown + i + p * kLanes));
-    }
-  const float stands = fold(standing), reaches = fold(reaching);
-  const V scale = hn::Set(f, stands > 0 ? std::min(most_ratio, reaches / stands) : 0.f);
-  for (std::size_t i = 0; i < count; i += kLanes) {
-    const Light light = read(i);
-    const V known = hn::LoadU(f, lights.known + i), gate = hn::LoadU(f, s.gate + i);
-    const V from_lit = hn::Mul(gate, hn::Mul(hn::Mul(hn::Sub(one, light.as_is), scale), light.amount_lit));
-    const V from_all = hn::Mul(gate, light.as_is);
-    const V given = hn::Mul(known, hn::Add(hn::Add(from_lit, from_all), hn::Sub(one, gate)));
-    const V taken = hn::Mul(known, hn::MulAdd(from_all, light.lit, from_lit));
-    for (int c = 0; c < 3; ++c) {
-      hn::StoreU(hn::Mul(given, light.irradiance[c]), f, photograph[c] + i);
-      hn::StoreU(hn::Mul(taken, light.irradiance[c]), f, model[c] + i);
+/// The lanes of `of` that are set, one after the other, and then others.
+template <class Mask>
+class Compression {
+ public:
+  explicit Compression(Mask mask) : mask_(mask), bits_(bitsOf(F(), mask)) {}
+  V operator()(V of) const {
+    if constexpr (kLanes == 8) {
+      const auto lanes = hn::LoadU(hn::Rebind<std::uint8_t, F>(), kOrder.lane[bits_]);
+      return hn::TableLookupLanes(of, hn::IndicesFromVec(F(), hn::PromoteTo(I(), lanes)));
+    } else {
+      return hn::Compress(of, mask_);
     }
   }
-}
+  std::size_t count() const { return static_cast<std::size_t>(std::popcount(bits_)); }
 
-std::size_t used(const CapturedLanes& lights, std::size_t count, const std::array<const float*, 3>& photograph,
-                 const std::array<const float*, 3>& model, const std::array<float*, 3>& out, const UsedLanes& to,
+ private:
+  struct Order {
+    std::uint8_t lane[256][8];
+    constexpr Order() : lane{} {
+      for (int bits = 0; bits < 256; ++bits)
+        for (int i = 0, at = 0; i < 8; ++i)
+          if (bits >> i & 1) lane[bits][at++] = static_cast<std::uint8_t>(i);
+    }
+  };
+  static constexpr Order kOrder{};
+  Mask mask_;
+  unsigned bits_;
+};
+
+std::size_t used(const CapturedLanes& lights, std::size_t count, const ResidualShares* distant,
+                 const ResidualAmounts* single, const std::array<float*, 3>& out, const UsedLanes& to,
                  std::size_t& photographs) {
   const F f;
-  const V zero = hn::Zero(f);
+  const V zero = hn::Zero(f), one = hn::Set(f, 1.f);
+  V scale = zero;
+  float *const amount_lit = out[0], *const as_is = out[1];  // on their way
+  if (distant) {
+    const ResidualShares& s = *distant;
+    V standing[kParts], reaching[kParts];
+    for (std::size_t p = 0; p < kParts; ++p) standing[p] = reaching[p] = zero;
+    for (std::size_t i = 0; i < count; i += kVectorLanes)
+      for (std::size_t p = 0; p < kParts; ++p) {
+        const std::size_t at = i + p * kLanes;
+        V even, even_all, odd, odd_all;
+        hn::LoadInterleaved4(f, s.energy + 4 * at, even, even_all, odd, odd_all);
+        const V shown = hn::Add(even, odd), all = hn::Add(even_all, odd_all), share = hn::Div(shown, all);
+        const auto some = hn::Gt(all, zero);
+        const V amount = hn::Mul(hn::LoadU(f, s.usable + at), hn::IfThenElse(some, share, one));
+        hn::StoreU(amount, f, amount_lit + at);
+        hn::StoreU(s.as_is ? hn::MulAdd(hn::IfThenElse(some, share, hn::LoadU(f, s.lit + at)),
+                                        hn::Set(f, s.indirect - s.indirect_shadow), hn::Set(f, s.indirect_shadow))
+                           : zero,
+                   f, as_is + at);
+        const V energy = hn::Add(hn::Add(hn::LoadU(f, s.irradiance[0] + at), hn::LoadU(f, s.irradiance[1] + at)),
+                                 hn::LoadU(f, s.irradiance[2] + at));
+        standing[p] = hn::MulAdd(amount, energy, standing[p]);
+        reaching[p] = hn::Add(reaching[p], shown);
+      }
+    const float stands = fold(standing), reaches = fold(reaching);
+    scale = hn::Set(f, stands > 0 ? std::min(s.most_ratio, reaches / stands) : 0.f);
+  }
   std::size_t found = 0;
   photographs = 0;
   for (std::size_t i = 0; i < count; i += kLanes) {
-    alignas(64) float taken[3][kLanes];
-    auto gives = hn::Ne(zero, zero), takes = gives;
+    V given[3] = {zero, zero, zero}, taken[3] = {zero, zero, zero};
+    if (single)
+      for (int c = 0; c < 3; ++c)
+        given[c] = hn::LoadU(f, single->photograph[c] + i), taken[c] = hn::LoadU(f, single->model[c] + i);
+    if (distant) {
+      const V known = hn::LoadU(f, lights.known + i), gate = hn::LoadU(f, distant->gate + i);
+      const V all = hn::LoadU(f, as_is + i);
+      const V from_lit = hn::Mul(gate, hn::Mul(hn::Mul(hn::Sub(one, all), scale), hn::LoadU(f, amount_lit + i)));
+      const V from_all = hn::Mul(gate, all);
+      const V give = hn::Mul(known, hn::Add(hn::Add(from_lit, from_all), hn::Sub(one, gate)));
+      const V take = hn::Mul(known, hn::MulAdd(from_all, hn::LoadU(f, distant->lit + i), from_lit));
+      for (int c = 0; c < 3; ++c) {
+        const V irradiance = hn::LoadU(f, distant->irradiance[c] + i);
+        given[c] = hn::MulAdd(give, irradiance, given[c]);
+        taken[c] = hn::MulAdd(take, irradiance, taken[c]);
+      }
+    }
+    V gives = zero, takes = zero;
     for (int c = 0; c < 3; ++c) {
       const V inverse = hn::LoadU(f, lights.inverse[c] + i);
-      const V given = hn::Mul(hn::LoadU(f, photograph[c] + i), inverse);
-      const V away = hn::IfThenElseZero(hn::Gt(inverse, zero), hn::LoadU(f, model[c] + i));
-      gives = hn::Or(gives, hn::Ne(given, zero));
-      takes = hn::Or(takes, hn::Ne(away, zero));
-      hn::StoreU(given, f, out[c] + i);
-      hn::Store(away, f, taken[c]);
+      given[c] = hn::Mul(given[c], inverse);
+      taken[c] = hn::IfThenElseZero(hn::Gt(inverse, zero), taken[c]);
+      gives = hn::Max(gives, hn::Abs(given[c]));
+      takes = hn::Max(takes, hn::Abs(taken[c]));
+      hn::StoreU(given[c], f, out[c] + i);
     }
-    photographs += hn::CountTrue(f, gives);
-    for (unsigned rest = bitsOf(f, takes); rest; rest &= rest - 1, ++found) {
-      const int lane = std::countr_zero(rest);
-      to.direction[0][found] = lights.direction.x[i + lane], to.direction[1][found] = lights.direction.y[i + lane];
-      to.direction[2][found] = lights.direction.z[i + lane];
-      for (int c = 0; c < 3; ++c) to.model[c][found] = taken[c][lane];
-    }
+    photographs += hn::CountTrue(f, hn::Gt(gives, zero));
+    const Compression pack(hn::Gt(takes, zero));
+    // Whole vectors are written: no more than `i` lie before them.
+    const auto append = [&](V of, float* lanes) { hn::StoreU(pack(of), f, lanes + found); };
+    append(hn::LoadU(f, lights.direction.x + i), to.direction[0]);
+    append(hn::LoadU(f, lights.direction.y + i), to.direction[1]);
+    append(hn::LoadU(f, lights.direction.z + i), to.direction[2]);
+    for (int c = 0; c < 3; ++c) append(taken[c], to.model[c]);
+    found += pack.count();
   }
   for (std::size_t i = found; i < paddedLanes(found); ++i) {
     to.direction[0][i] = to.direction[1][i] = 0, to.direction[2][i] = 1;
@@ -316,10 +416,11 @@ HWY_AFTER_NAMESPACE();
 namespace srf {
 HWY_EXPORT(sums);
 HWY_EXPORT(keys);
+HWY_EXPORT(blend);
 HWY_EXPORT(largest);
 HWY_EXPORT(distant);
+HWY_EXPORT(shownTable);
 HWY_EXPORT(captured);
-HWY_EXPORT(residual);
 HWY_EXPORT(bits);
 HWY_EXPORT(used);
 
@@ -340,7 +441,8 @@ ModelView addView(ModelOfPoint& m, const PointReflectance& point, const std::arr
   constexpr float kLeastCosine = 1e-3f;  // as modelTerms has it
   constexpr float kInversePi = 0.318309886183790672f;
   const auto dot = [&](const std::array<float, 3>& a) { return a[0] * view[0] + a[1] * view[1] + a[2] * view[2]; };
-  ModelView to{view, std::max(dot(m.n), kLeastCosine), dot(m.t), dot(m.b), 0};
+  const float cosine = dot(m.n);
+  ModelView to{view, std::max(cosine, kLeastCosine), dot(m.t), dot(m.b), 0, cosine >= kLeastCosine};
   to.share = share * m.lobe / (to.nv + std::sqrt(m.ax2 * to.tv * to.tv + m.ay2 * to.bv * to.bv + to.nv * to.nv));
   const float grazing = 1 - to.nv, squared = grazing * grazing;
   const float lambert = kInversePi * share, transmitted = lambert * (1 - squared * squared * grazing);
@@ -381,30 +483,32 @@ void facingEnergy(const std::array<float, 3>& n, const DirectionLanes& lights, c
                   float* key) {
   HWY_DYNAMIC_DISPATCH(keys)(n, lights, energy, count, key);
 }
-std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position) {
-  return HWY_DYNAMIC_DISPATCH(largest)(key, count, most, position);
+std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
+                        std::int32_t& about) {
+  return HWY_DYNAMIC_DISPATCH(largest)(key, count, most, position, about);
+}
+void blendVectors(const std::array<const float*, 4>& vector, const std::array<float, 4>& share, std::size_t count,
+                  float* sum) {
+  HWY_DYNAMIC_DISPATCH(blend)(vector, share, count, sum);
+}
+void shownBySight(const float* lit, const float* facing, const float* disagree, std::size_t count, float* shown) {
+  HWY_DYNAMIC_DISPATCH(shownTable)(lit, facing, disagree, count, shown);
 }
 std::array<float, 3> distantSums(const ModelOfPoint& model, const ModelView& view, const DistantLanes& lights,
                                  const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow,
-                                 std::size_t count, std::uint32_t* facing, float* shown_energy,
-                                 std::size_t& facing_count) {
+                                 std::size_t count, float* energy, std::size_t& facing) {
   std::array<float, 3> result;
-  HWY_DYNAMIC_DISPATCH(distant)
-  (model, view, lights, sight, about, shadow, count, facing, shown_energy, facing_count, result);
+  HWY_DYNAMIC_DISPATCH(distant)(model, view, lights, sight, about, shadow, count, energy, facing, result);
   return result;
 }
 void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, std::size_t count, float* lit,
                     float* usable, float* facing) {
   HWY_DYNAMIC_DISPATCH(captured)(n, lights, count, lit, usable, facing);
 }
-void residualAmounts(const ResidualShares& shares, const CapturedLanes& lights, float most_ratio, std::size_t count,
-                     const std::array<float*, 3>& photograph, const std::array<float*, 3>& model) {
-  HWY_DYNAMIC_DISPATCH(residual)(shares, lights, most_ratio, count, photograph, model);
-}
-std::size_t usedLights(const CapturedLanes& lights, std::size_t count, const std::array<const float*, 3>& photograph,
-                       const std::array<const float*, 3>& model, const std::array<float*, 3>& out, const UsedLanes& to,
+std::size_t usedLights(const CapturedLanes& lights, std::size_t count, const ResidualShares* distant,
+                       const ResidualAmounts* single, const std::array<float*, 3>& out, const UsedLanes& to,
                        std::size_t& photographs) {
-  return HWY_DYNAMIC_DISPATCH(used)(lights, count, photograph, model, out, to, photographs);
+  return HWY_DYNAMIC_DISPATCH(used)(lights, count, distant, single, out, to, photographs);
 }
 void shareBits(const std::uint64_t* const* rows, const float* weight, int points, std::size_t count, float* shares) {
   HWY_DYNAMIC_DISPATCH(bits)(rows, weight, points, count, shares);

@@ -31,6 +31,7 @@ struct ModelView {
   std::array<float, 3> v;
   float nv, tv, bv;
   float share;  ///< with what else depends on the view alone
+  bool above;   ///< the horizon
 };
 /// A point whose normal and tangent lie in acquisition space, without views.
 ModelOfPoint modelOfPoint(const PointReflectance& point);
@@ -49,12 +50,18 @@ std::array<double, 3> modelSumsReference(const PointReflectance& point, const st
                                          const DirectionLanes& lights, const std::array<const float*, 3>& amount,
                                          std::size_t count);
 
+/// sum[i] = share[0] * vector[0][i] + .. + share[3] * vector[3][i], terms in this order.
+void blendVectors(const std::array<const float*, 4>& vector, const std::array<float, 4>& share, std::size_t count,
+                  float* sum);
+
 /// key[i] = max(n.l_i, 0) energy[i].
 void facingEnergy(const std::array<float, 3>& n, const DirectionLanes& lights, const float* energy, std::size_t count,
                   float* key);
 /// The positions of the `most` largest keys above 0, or of all there are, rising; of equal ones the first. Returns how
-/// many; `position` holds `count` rounded up.
-std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position);
+/// many; `position` holds `count` rounded up. `about`: where the search for the least of them begins, and then its
+/// bits; the answer does not depend on it, only the time.
+std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
+                        std::int32_t& about);
 
 /// What a ray found of a light that a hit faces.
 enum LightSight : std::int8_t { kNotAsked = -1, kHidden = 0, kInSight = 1 };
@@ -65,20 +72,26 @@ struct DistantLanes {
   const float* energy;                     ///< sum of the channels of irradiance
   std::array<const float*, 3> irradiance;  ///< on a plane facing the light
 };
-/// What the captured lights say of how much of a light about them reaches a hit: unasked[i] where no ray was sent,
-/// sight * asked[i] + offset[i] where one was (asked null: sight alone); and how far the model is trusted about them
-/// (null: wholly).
+/// What the captured lights say of how much of a light about captured light i reaches a hit:
+/// shown[(sight + 1) * stride + i]; and how far the model is trusted about them (null: wholly).
 struct CapturedShadow {
-  const float *unasked, *asked, *offset, *trusted;
+  const float* shown;
+  std::size_t stride;
+  const float* trusted;
 };
+/// Fills shown[3][count] of a CapturedShadow. Where no ray was sent: lit[i] where the light tells of the surface, else
+/// 1. Where photographs and rays disagree (null: nowhere), all is drawn towards lit[i] by so much.
+void shownBySight(const float* lit, const float* facing, const float* disagree, std::size_t count, float* shown);
+
 /// The model's answer to all distant lights: sum over lights that the hit faces of shown irradiance[c] M_c, where
-/// `shown` is how much of the light reaches the hit by `sight` and by the captured light `about` it. Fills
-/// facing[] with the positions of the lights that the hit faces, rising, and at each of them shown * energy into
-/// shown_energy[]; returns in `facing_count` how many. Only the sum counts less where the model is trusted less.
+/// `shown` is how much of the light reaches the hit by `sight` and by the captured light `about` it. Adds to
+/// energy[4 i] + energy[4 i + 2] what is shown of the energy about captured light i, and to energy[4 i + 1] + energy[4
+/// i
+/// + 3] all of it; returns in `facing` how many lights the hit faces. Only the sum counts less where the model is
+/// trusted less.
 std::array<float, 3> distantSums(const ModelOfPoint& model, const ModelView& view, const DistantLanes& lights,
                                  const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow,
-                                 std::size_t count, std::uint32_t* facing, float* shown_energy,
-                                 std::size_t& facing_count);
+                                 std::size_t count, float* energy, std::size_t& facing);
 
 /// The captured lights of one list as hits see them.
 struct CapturedLanes {
@@ -91,28 +104,29 @@ struct CapturedLanes {
 void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, std::size_t count, float* lit,
                     float* usable, float* facing);
 
-/// How the residual of a hit is taken from captured lights that stand for all distant ones together.
+/// How the residual of a hit is taken from captured lights that stand for all distant ones together. The lit lights are
+/// scaled to sum to what is shown, by at most `most_ratio`.
 struct ResidualShares {
-  float indirect, indirect_shadow;
-  bool as_is;                          ///< whether any of it is taken as it is
-  const float *shown, *all;            ///< of the energy about each captured light: what is shown, and all
-  const float *gate, *lit, *usable;    ///< of each captured light
-  std::array<const float*, 3> weight;  ///< of each captured light, in its own irradiance
+  float indirect, indirect_shadow, most_ratio;
+  bool as_is;                              ///< whether any of it is taken as it is
+  const float* energy;                     ///< about each captured light: what is shown, and all (distantSums)
+  const float *gate, *lit, *usable;        ///< of each captured light
+  std::array<const float*, 3> irradiance;  ///< for which each captured light stands
 };
-/// photograph[c][i], model[c][i]: irradiance by which captured light i counts in what photographs give and in what the
-/// model takes away. The lit lights are scaled to sum to what is shown, by at most `most_ratio`.
-void residualAmounts(const ResidualShares& shares, const CapturedLanes& lights, float most_ratio, std::size_t count,
-                     const std::array<float*, 3>& photograph, const std::array<float*, 3>& model);
-
-/// Ends the amounts of a hit: photograph[c] *= inverse[c], into out[c]; model[c] = 0 where inverse[c] is. Copies
-/// direction and model of the lights whose model is not 0 to `used`, one after the other and then amounts of 0 up to
-/// paddedLanes. Returns how many of these there are, and in `photographs` how many lights have a photograph.
+/// Irradiance by which each captured light counts in what photographs give and in what the model takes away.
+struct ResidualAmounts {
+  std::array<const float*, 3> photograph, model;
+};
+/// What the amounts of a hit come to: those of `distant` (null: none) and `single` (null: none) together. out[c] =
+/// photograph[c] * inverse[c]; model[c] = 0 where inverse[c] is. Copies direction and model of the lights whose model
+/// is not 0 to `used`, one after the other and then amounts of 0 up to paddedLanes. Returns how many of these there
+/// are, and in `photographs` how many lights have a photograph.
 struct UsedLanes {
   std::array<float*, 3> direction, model;
 };
-std::size_t usedLights(const CapturedLanes& lights, std::size_t count, const std::array<const float*, 3>& photograph,
-                       const std::array<const float*, 3>& model, const std::array<float*, 3>& out,
-                       const UsedLanes& used, std::size_t& photographs);
+std::size_t usedLights(const CapturedLanes& lights, std::size_t count, const ResidualShares* distant,
+                       const ResidualAmounts* single, const std::array<float*, 3>& out, const UsedLanes& used,
+                       std::size_t& photographs);
 
 /// shares[i] = min(1, sum over p of weight[p] * (bit i of rows[p])), points one after the other.
 void shareBits(const std::uint64_t* const* rows, const float* weight, int points, std::size_t count, float* shares);

@@ -149,6 +149,33 @@ DistantLight lightOf(const SphereMap& map, const Cell& cell) {
 
 }  // namespace
 
+namespace {
+
+/// Orders lights so that neighbours in the list are neighbours on the sphere, eights of them above all: kernels pass
+/// over lights behind a surface eight at a time.
+void orderOnSphere(std::span<DistantLight> lights) {
+  constexpr std::size_t kAtOnce = 8;
+  if (lights.size() <= kAtOnce) return;
+  Vec3 low = lights[0].direction.raw(), high = low;
+  for (const DistantLight& light : lights)
+    for (int k = 0; k < 3; ++k) {
+      low[k] = std::min(low[k], light.direction.raw()[k]);
+      high[k] = std::max(high[k], light.direction.raw()[k]);
+    }
+  int axis = 0;
+  for (int k = 1; k < 3; ++k)
+    if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
+  const std::size_t half = (lights.size() / 2 + kAtOnce - 1) / kAtOnce * kAtOnce;
+  if (half >= lights.size()) return;
+  std::stable_sort(lights.begin(), lights.end(), [axis](const DistantLight& a, const DistantLight& b) {
+    return a.direction.raw()[axis] < b.direction.raw()[axis];
+  });
+  orderOnSphere(lights.first(half));
+  orderOnSphere(lights.subspan(half));
+}
+
+}  // namespace
+
 EnvironmentSamples sampleEnvironment(const ImageF& image, int samples) {
   EnvironmentSamples result;
   const SphereMap map(image, result.unusable_texels);
@@ -180,6 +207,7 @@ EnvironmentSamples sampleEnvironment(const ImageF& image, int samples) {
   }
   for (; !open.empty(); open.pop()) done.push_back(open.top());
   for (const Cell& cell : done) add(cell);
+  orderOnSphere(result.lights);
   return result;
 }
 

@@ -20,12 +20,19 @@ const SharedStandIns::Corner& SharedStandIns::at(const SharedKey& key, const Fra
     if (const auto found = corners_.find(key); found != corners_.end()) return *found->second;
   }
   auto corner = std::make_unique<Corner>();
-  corner->weights.resize(3 * static_cast<std::size_t>(lightPad(lighting.lists()[key.list].count())));
+  const AcquiredLights& list = lighting.lists()[key.list];
+  const auto pad = static_cast<std::size_t>(lightPad(list.count()));
+  corner->irradiance.resize(3 * pad);
   corner->nearest.resize(paddedLanes(lighting.lights().distant.size()));
-  lighting.computeShared(key, corner->weights.data(), corner->nearest.data());
+  lighting.computeShared(key, corner->irradiance.data(), corner->nearest.data());
+  for (std::size_t i = 0; i < list.inverseIrradiances().size(); ++i)
+    for (std::size_t c = 0; c < 3; ++c) {
+      const float inverse = list.inverseIrradiances()[i][c];
+      corner->irradiance[c * pad + i] *= inverse > 0 ? 1 / inverse : 0.f;
+    }
   const std::unique_lock lock(mutex_);
   const auto [entry, added] = corners_.try_emplace(key, std::move(corner));  // another thread may have been first
-  if (added) bytes_ += 4 * (entry->second->weights.size() + entry->second->nearest.size()) + 128;
+  if (added) bytes_ += 4 * (entry->second->irradiance.size() + entry->second->nearest.size()) + 128;
   return *entry->second;
 }
 

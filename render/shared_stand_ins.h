@@ -14,7 +14,7 @@ namespace srf {
 class SharedStandIns {
  public:
   struct Corner {
-    std::vector<float> weights;          ///< 3 x pad, as FrameLighting::computeShared gives them
+    std::vector<float> irradiance;       ///< 3 x pad: for which each captured light stands (computeShared)
     std::vector<std::uint32_t> nearest;  ///< of each distant light (paddedLanes), the captured one that counts most
   };
   /// Forgets what does not hold for the frame, or everything where more than `most_bytes` are held. Not while others

@@ -58,7 +58,10 @@ TEST(GuidedKernels, SumsOfTheModelStayWithinTheirStatedErrorWhateverTheViewsAndT
   std::mt19937 random(5);
   for (int trial = 0; trial < 200; ++trial) {
     const Lights lights(1 + random() % 90, random);
-    const PointReflectance point = randomPoint(random);
+    PointReflectance point = randomPoint(random);
+    if (trial % 3 > 0) point.alpha_y = point.alpha_x;  // a shorter form
+    if (trial % 3 > 1) point.alpha_x = point.alpha_y = 0.05f + 0.0006f * static_cast<float>(trial);
+    if (trial % 5 > 2) point.coefficient[1] = {0, 0, 0};
     ModelOfPoint model = modelOfPoint(point);
     std::vector<ModelView> views;
     std::array<double, 3> want{}, scale{};
@@ -105,41 +108,49 @@ TEST(GuidedKernels, DistantLightsCountAsTheyAreSeenOrAsTheCapturedLightAboutThem
     const PointReflectance point = randomPoint(random);
     ModelOfPoint model = modelOfPoint(point);
     const ModelView view = addView(model, point, floats(randomDirection(random)), 1);
-    std::vector<float> energy(lanes, 0), unasked, asked, offset, trusted, shown_energy(lanes, -1);
+    constexpr std::size_t kCaptured = 16;
+    std::vector<float> energy(lanes, 0), lit, tells, disagree, trusted, shown(3 * kCaptured),
+        about_captured(4 * kCaptured, 0);
     std::vector<std::int8_t> sight(lanes, kNotAsked);
-    std::vector<std::uint32_t> about(lanes, 0), facing(lanes);
-    for (int i = 0; i < 16; ++i) {
-      unasked.push_back(0.05f * i), asked.push_back(1 - 0.01f * i), offset.push_back(0.005f * i);
-      trusted.push_back(0.06f * i);
+    std::vector<std::uint32_t> about(lanes, 0);
+    for (std::size_t i = 0; i < kCaptured; ++i) {
+      const auto at = static_cast<float>(i);
+      lit.push_back(0.05f * at), disagree.push_back(0.06f * at), trusted.push_back(0.06f * at);
+      tells.push_back(i % 4 == 0 ? 0.f : 0.5f);
     }
     for (std::size_t i = 0; i < lights.count; ++i) {
       energy[i] = lights.amount[0][i] + lights.amount[1][i] + lights.amount[2][i];
       sight[i] = static_cast<std::int8_t>(static_cast<int>(random() % 3) - 1);
-      about[i] = random() % 16;
+      about[i] = random() % kCaptured;
     }
     const bool corrected = trial % 2;
-    std::size_t count = 0;
-    const auto got = distantSums(
-        model, view, {lights.lanes(), energy.data(), constant(lights.amount)}, sight.data(), about.data(),
-        {unasked.data(), corrected ? asked.data() : nullptr, offset.data(), trial % 3 ? trusted.data() : nullptr},
-        lanes, facing.data(), shown_energy.data(), count);
-    std::vector<std::uint32_t> want_facing;
+    shownBySight(lit.data(), tells.data(), corrected ? disagree.data() : nullptr, kCaptured, shown.data());
+    std::size_t facing = 0;
+    const auto got = distantSums(model, view, {lights.lanes(), energy.data(), constant(lights.amount)}, sight.data(),
+                                 about.data(), {shown.data(), kCaptured, trial % 3 ? trusted.data() : nullptr}, lanes,
+                                 about_captured.data(), facing);
+    std::size_t want_facing = 0;
+    std::vector<double> want_shown(kCaptured), want_all(kCaptured);
     for (std::uint32_t i = 0; i < lights.count; ++i) {
       const double cosine = double{point.normal[0]} * lights.direction[0][i] +
                             double{point.normal[1]} * lights.direction[1][i] +
                             double{point.normal[2]} * lights.direction[2][i];
-      float shown = 0;
-      if (sight[i] == kNotAsked)
-        shown = unasked[about[i]];
-      else
-        shown = corrected ? asked[about[i]] * sight[i] + offset[about[i]] : sight[i];
+      const std::uint32_t a = about[i];
+      double reaches = sight[i] != kNotAsked ? sight[i] : tells[a] > 0 ? lit[a] : 1;
+      if (corrected) reaches += disagree[a] * (lit[a] - reaches);
       if (cosine > 0) {
-        want_facing.push_back(i);
-        ASSERT_NEAR(shown_energy[i], shown * energy[i], 1e-6 * energy[i]);
+        ++want_facing;
+        want_shown[a] += reaches * energy[i];
+        want_all[a] += energy[i];
       }
-      for (int c = 0; c < 3; ++c) lights.amount[c][i] *= cosine > 0 ? shown * (trial % 3 ? trusted[about[i]] : 1) : 0;
+      const double counts = cosine > 0 ? reaches * (trial % 3 ? trusted[a] : 1) : 0;
+      for (int c = 0; c < 3; ++c) lights.amount[c][i] *= static_cast<float>(counts);
     }
-    ASSERT_EQ(std::vector(facing.begin(), facing.begin() + static_cast<std::ptrdiff_t>(count)), want_facing);
+    ASSERT_EQ(facing, want_facing);
+    for (std::size_t i = 0; i < kCaptured; ++i) {
+      ASSERT_NEAR(about_captured[4 * i] + about_captured[4 * i + 2], want_shown[i], 1e-5 * want_all[i]);
+      ASSERT_NEAR(about_captured[4 * i + 1] + about_captured[4 * i + 3], want_all[i], 1e-5 * want_all[i]);
+    }
     const auto want = modelSums(model, &view, 1, lights.lanes(), constant(lights.amount), lanes);
     for (int c = 0; c < 3; ++c) ASSERT_NEAR(got[c], want[c], 1e-5 * want[c] + 1e-6) << "trial " << trial;
   }
@@ -158,11 +169,16 @@ TEST(GuidedKernels, TheBrightestAreThoseOfASortAlsoWhereTheyTie) {
       if (key[i] > 0) order.emplace_back(-key[i], i);
     std::sort(order.begin(), order.end());
     order.resize(std::min(order.size(), most));
-    std::vector<std::uint32_t> want, got(key.size());
+    std::vector<std::uint32_t> want;
     for (const auto& [minus, i] : order) want.push_back(i);
     std::sort(want.begin(), want.end());
-    got.resize(largestKeys(key.data(), key.size(), most, got.data()));
-    ASSERT_EQ(got, want) << "trial " << trial;
+    // Wherever the search begins.
+    const std::int32_t begins[] = {0, 1, 0x3f000000, static_cast<std::int32_t>(random() >> 1), 0x7fffffff};
+    for (std::int32_t about : begins) {
+      std::vector<std::uint32_t> found(key.size());
+      found.resize(largestKeys(key.data(), key.size(), most, found.data(), about));
+      ASSERT_EQ(found, want) << "trial " << trial;
+    }
   }
 }
 
@@ -200,11 +216,12 @@ TEST(GuidedKernels, WhatIsUsedIsWhatCountsAndDarkLightsHoldNothing) {
   }
   const CapturedLanes captured{lights.lanes(), known.data(), constant(lights.amount), constant(inverse)};
   std::size_t photographs = 0;
-  const std::size_t count = usedLights(captured, lanes, constant(photograph), constant(model),
-                                       {own.data(), own.data() + lanes, own.data() + 2 * lanes},
-                                       {{direction[0].data(), direction[1].data(), direction[2].data()},
-                                        {used[0].data(), used[1].data(), used[2].data()}},
-                                       photographs);
+  const ResidualAmounts single{constant(photograph), constant(model)};
+  const std::size_t count =
+      usedLights(captured, lanes, nullptr, &single, {own.data(), own.data() + lanes, own.data() + 2 * lanes},
+                 {{direction[0].data(), direction[1].data(), direction[2].data()},
+                  {used[0].data(), used[1].data(), used[2].data()}},
+                 photographs);
   std::size_t at = 0, want_photographs = 0;
   for (std::size_t i = 0; i < lights.count; ++i) {
     ASSERT_EQ(own[i], photograph[0][i] * inverse[0][i]);
@@ -216,6 +233,82 @@ TEST(GuidedKernels, WhatIsUsedIsWhatCountsAndDarkLightsHoldNothing) {
   EXPECT_EQ(count, at);
   EXPECT_EQ(photographs, want_photographs);
   for (; at < paddedLanes(count); ++at) EXPECT_EQ(used[0][at], 0);
+}
+
+TEST(GuidedKernels, TheResidualIsTakenAsStatedAndAddsToSingleLights) {
+  std::mt19937 random(10);
+  std::uniform_real_distribution<float> uniform(0, 1);
+  for (int trial = 0; trial < 60; ++trial) {
+    const Lights lights(1 + random() % 120, random);
+    const std::size_t lanes = paddedLanes(lights.count);
+    const auto some = [&](std::size_t size, bool zeros = false) {
+      std::vector<float> values(size, 0);
+      for (std::size_t i = 0; i < size; ++i) values[i] = zeros && random() % 3 == 0 ? 0.f : uniform(random);
+      return values;
+    };
+    const std::vector<float> known = some(lanes, true), gate = trial % 2 ? std::vector<float>(lanes, 1) : some(lanes);
+    const std::vector<float> lit = some(lanes, true), usable = some(lanes, true);
+    std::vector<float> energy(4 * lanes, 0), own(3 * lanes);
+    std::array<std::vector<float>, 3> irradiance, inverse, photograph, model, direction, used;
+    for (int c = 0; c < 3; ++c) {
+      irradiance[c] = some(lanes), inverse[c] = some(lanes, true);
+      photograph[c] = some(lanes, true), model[c] = some(lanes, true);
+      for (float& amount : model[c]) amount *= 8;
+      direction[c].assign(lanes, 7), used[c].assign(lanes, 7);
+    }
+    for (std::size_t i = 0; i < lights.count; ++i)
+      for (std::size_t half = 0; half < 2; ++half) {
+        if (random() % 4 == 0) continue;
+        energy[4 * i + 2 * half + 1] = uniform(random) + 0.1f;
+        energy[4 * i + 2 * half] = uniform(random) * energy[4 * i + 2 * half + 1];
+      }
+    const bool with_single = trial % 3 > 0, as_is = trial % 5 > 0;
+    const ResidualShares shares{trial % 7 ? 0.7f : 0.f, 0.2f,        2,          as_is,
+                                energy.data(),          gate.data(), lit.data(), usable.data(),
+                                constant(irradiance)};
+    const ResidualAmounts single{constant(photograph), constant(model)};
+    const CapturedLanes captured{lights.lanes(), known.data(), constant(irradiance), constant(inverse)};
+    std::size_t photographs = 0;
+    const std::size_t count = usedLights(captured, lanes, &shares, with_single ? &single : nullptr,
+                                         {own.data(), own.data() + lanes, own.data() + 2 * lanes},
+                                         {{direction[0].data(), direction[1].data(), direction[2].data()},
+                                          {used[0].data(), used[1].data(), used[2].data()}},
+                                         photographs);
+    double standing = 0, reaching = 0;
+    const auto reach = [&](std::size_t i) {
+      const double all = double{energy[4 * i + 1]} + energy[4 * i + 3],
+                   shown = double{energy[4 * i]} + energy[4 * i + 2];
+      return std::pair(all > 0, all > 0 ? shown / all : 0);
+    };
+    for (std::size_t i = 0; i < lanes; ++i) {
+      const auto [any, share] = reach(i);
+      standing += usable[i] * (any ? share : 1) * (double{irradiance[0][i]} + irradiance[1][i] + irradiance[2][i]);
+      reaching += double{energy[4 * i]} + energy[4 * i + 2];
+    }
+    const double scale = standing > 0 ? std::min(2.0, reaching / standing) : 0;
+    std::size_t at = 0;
+    for (std::size_t i = 0; i < lanes; ++i) {
+      const auto [any, share] = reach(i);
+      const double all = as_is ? 0.2 + (shares.indirect - double{0.2f}) * (any ? share : lit[i]) : 0;
+      const double from_lit = gate[i] * (1 - all) * scale * usable[i] * (any ? share : 1), from_all = gate[i] * all;
+      bool takes = false;
+      std::array<double, 3> taken;
+      for (int c = 0; c < 3; ++c) {
+        double given = known[i] * (from_lit + from_all + 1 - gate[i]) * irradiance[c][i];
+        taken[c] = known[i] * (from_lit + from_all * lit[i]) * irradiance[c][i];
+        if (with_single) given += photograph[c][i], taken[c] += model[c][i];
+        ASSERT_NEAR(own[c * lanes + i], given * inverse[c][i], 1e-5) << "trial " << trial;
+        takes |= inverse[c][i] > 0 && taken[c] > 0;
+      }
+      if (!takes) continue;
+      ASSERT_LT(at, count);
+      ASSERT_EQ(direction[0][at], lights.direction[0][i]);
+      for (int c = 0; c < 3; ++c) ASSERT_NEAR(used[c][at], inverse[c][i] > 0 ? taken[c] : 0, 2e-5);
+      ++at;
+    }
+    EXPECT_EQ(at, count);
+    for (; at < paddedLanes(count); ++at) EXPECT_EQ(used[1][at], 0);
+  }
 }
 
 }  // namespace
