@@ -196,7 +196,8 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
                 : hit.query.hit->p_star + offset_ * (look_up.acquisition_from_object.inverse() * look_up.normal);
     const auto hit_index = static_cast<std::uint32_t>(h);
     if (distant_count > 0) {
-      facingEnergy(hit.model.n, lanesOf(direction_), energy_.data(), distant_count, block.keys.data());
+      modelAnswers(hit.model, hit.model_view, lanesOf(direction_), channels(irradiance_), distant_lanes_,
+                   block.keys.data());
       const std::size_t count =
           largestKeys(block.keys.data(), distant_count, static_cast<std::size_t>(options_.shadow_rays),
                       block.positions.data(), least);

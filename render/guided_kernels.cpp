@@ -151,13 +151,22 @@ void blend(const std::array<const float*, 4>& vector, const std::array<float, 4>
   }
 }
 
-void keys(const std::array<float, 3>& n, const DirectionLanes& lights, const float* energy, std::size_t count,
-          float* key) {
+void answers(const ModelOfPoint& m, const ModelView& view, const DirectionLanes& lights,
+             const std::array<const float*, 3>& irradiance, std::size_t count, float* answer) {
   const F f;
-  for (std::size_t i = 0; i < count; i += kLanes) {
-    const V cosine = dot3(n, hn::LoadU(f, lights.x + i), hn::LoadU(f, lights.y + i), hn::LoadU(f, lights.z + i));
-    hn::StoreU(hn::Mul(hn::Max(cosine, hn::Zero(f)), hn::LoadU(f, energy + i)), f, key + i);
-  }
+  withKind(m, &view, 1, [&](auto round, auto transmits) {
+    for (std::size_t i = 0; i < count; i += kLanes) {
+      const V x = hn::LoadU(f, lights.x + i), y = hn::LoadU(f, lights.y + i), z = hn::LoadU(f, lights.z + i);
+      const V cosine = dot3(m.n, x, y, z);
+      const auto faces = hn::Gt(cosine, hn::Zero(f));
+      V sum = hn::Zero(f);
+      if (!hn::AllFalse(f, faces))
+        values<round.value, transmits.value>(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
+          sum = hn::MulAdd(hn::LoadU(f, irradiance[c] + i), value, sum);
+        });
+      hn::StoreU(hn::IfThenElseZero(faces, hn::Max(sum, hn::Zero(f))), f, answer + i);
+    }
+  });
 }
 
 std::size_t largest(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
@@ -415,7 +424,7 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace srf {
 HWY_EXPORT(sums);
-HWY_EXPORT(keys);
+HWY_EXPORT(answers);
 HWY_EXPORT(blend);
 HWY_EXPORT(largest);
 HWY_EXPORT(distant);
@@ -479,9 +488,9 @@ std::array<double, 3> modelSumsReference(const PointReflectance& point, const st
   }
   return sum;
 }
-void facingEnergy(const std::array<float, 3>& n, const DirectionLanes& lights, const float* energy, std::size_t count,
-                  float* key) {
-  HWY_DYNAMIC_DISPATCH(keys)(n, lights, energy, count, key);
+void modelAnswers(const ModelOfPoint& model, const ModelView& view, const DirectionLanes& lights,
+                  const std::array<const float*, 3>& irradiance, std::size_t count, float* answer) {
+  HWY_DYNAMIC_DISPATCH(answers)(model, view, lights, irradiance, count, answer);
 }
 std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
                         std::int32_t& about) {

@@ -54,9 +54,10 @@ std::array<double, 3> modelSumsReference(const PointReflectance& point, const st
 void blendVectors(const std::array<const float*, 4>& vector, const std::array<float, 4>& share, std::size_t count,
                   float* sum);
 
-/// key[i] = max(n.l_i, 0) energy[i].
-void facingEnergy(const std::array<float, 3>& n, const DirectionLanes& lights, const float* energy, std::size_t count,
-                  float* key);
+/// answer[i] = sum over channels of irradiance[c][i] M_c(l_i, v): what a light that is not hidden adds to the picture;
+/// 0 below the horizon.
+void modelAnswers(const ModelOfPoint& model, const ModelView& view, const DirectionLanes& lights,
+                  const std::array<const float*, 3>& irradiance, std::size_t count, float* answer);
 /// The positions of the `most` largest keys above 0, or of all there are, rising; of equal ones the first. Returns how
 /// many; `position` holds `count` rounded up. `about`: where the search for the least of them begins, and then its
 /// bits; the answer does not depend on it, only the time.

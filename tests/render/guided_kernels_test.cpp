@@ -156,6 +156,32 @@ TEST(GuidedKernels, DistantLightsCountAsTheyAreSeenOrAsTheCapturedLightAboutThem
   }
 }
 
+TEST(GuidedKernels, AnswersAreTheModelsLightByLight) {
+  std::mt19937 random(12);
+  for (int trial = 0; trial < 60; ++trial) {
+    const Lights lights(1 + random() % 90, random);
+    const std::size_t lanes = paddedLanes(lights.count);
+    PointReflectance point = randomPoint(random);
+    if (trial % 2) point.alpha_y = point.alpha_x;
+    ModelOfPoint model = modelOfPoint(point);
+    const ModelView view = addView(model, point, floats(randomDirection(random)), 1);
+    std::vector<float> answers(lanes, 7);
+    modelAnswers(model, view, lights.lanes(), constant(lights.amount), lanes, answers.data());
+    for (std::size_t i = 0; i < lanes; ++i) {
+      std::array<std::vector<float>, 3> alone;
+      for (int c = 0; c < 3; ++c) {
+        alone[c].assign(lanes, 0);
+        alone[c][i] = lights.amount[c][i];
+      }
+      const auto sum = modelSums(model, &view, 1, lights.lanes(), constant(alone), lanes);
+      const float cosine = point.normal[0] * lights.direction[0][i] + point.normal[1] * lights.direction[1][i] +
+                           point.normal[2] * lights.direction[2][i];
+      const float want = cosine > 0 ? sum[0] + sum[1] + sum[2] : 0;
+      ASSERT_NEAR(answers[i], want, 1e-5f * want + 1e-6f) << "trial " << trial << " light " << i;
+    }
+  }
+}
+
 TEST(GuidedKernels, TheBrightestAreThoseOfASortAlsoWhereTheyTie) {
   std::mt19937 random(7);
   for (int trial = 0; trial < 300; ++trial) {
