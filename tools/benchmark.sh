@@ -86,6 +86,24 @@ fi
   (ulimit -s 512 && build/release/bench/out_of_core_benchmark "$work/fields" --plot doc/images/out_of_core.svg)
   echo
   echo "![Seconds a frame against the blocks in the cache, lossless blocks](images/out_of_core.svg)"
+  echo
+  echo "## Kernels, each beside its plain counterpart in double"
+  echo
+  echo "One thread, everything in the processor's caches (\`bench/kernel_benchmark.cpp\`). An item is a product of a channel and a light, a value of the model, a key or"
+  echo "a direction."
+  echo
+  echo "| kernel | ns a call | million items a second |"
+  echo "|---|---|---|"
+  build/release/bench/kernel_benchmark --benchmark_format=csv --benchmark_repetitions=5 --benchmark_report_aggregates_only 2> /dev/null |
+    awk -F, '/_median/ { gsub(/"|_median/, "", $1); printf "| `%s` | %.0f | %.0f |\n", $1, $4, $NF / 1e6 }'
+  echo
+  echo "## Other ways to the same"
+  echo
+  echo "OpenImageIO's ImageCache, which reads a view as tiled OpenEXR with a channel of halves a colour and light, in place of the cache of blocks; and a search of all"
+  echo "views, each asked whether it sees the hit, in place of one among those that see a hit's points (which then also places the fetch in the picture). One thread, in turn."
+  echo
+  mkdir -p "$work/alternatives"
+  build/release/bench/alternatives_benchmark "$work/bumpy.srf" "$work/alternatives"
   # Python with mitsuba and numpy, where there is one: see the program's own text.
   if [[ -n ${MITSUBA_PYTHON:-} ]]; then
     "$srf" model "$work/bumpy.srf" --export "$work/bumpy.ply" > /dev/null
