@@ -14,6 +14,9 @@
 namespace srf {
 namespace {
 
+// Of scratch memory of threads and libraries, bytes, besides what grows with the budget.
+constexpr std::size_t kPassing = std::size_t{32} << 20;
+
 using Clock = std::chrono::steady_clock;
 double secondsSince(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
@@ -119,10 +122,11 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
   levels.emplace(selection->views(), box, settings.accuracy.texels);
   if (settings.support || CaptureSupport::wanted(settings.layers))
     support.emplace(selection->views(), lists, list_of_view, box);
-  // What the program holds already (the model, its tree, the stores' indices) counts too. An eighth is for what passes:
-  // the picture, scratch memory, what the allocator keeps.
-  const std::size_t held = residentBytes() + settings.memory_bytes / 8;
-  const std::size_t least = settings.memory_bytes / 4;
+  // What the program holds already (the model, its tree, the stores' indices) counts too, and what passes: the picture,
+  // scratch memory, what the allocator keeps.
+  const std::size_t passing = std::min(settings.memory_bytes / 4, settings.memory_bytes / 8 + kPassing);
+  const std::size_t held = residentBytes() + passing;
+  const std::size_t least = settings.memory_bytes / 8;
   working_bytes = settings.memory_bytes > held + least ? settings.memory_bytes - held : least;
   BlockCache::ReadAhead ahead;
   ahead.bytes = std::clamp<std::size_t>(working_bytes / 16, std::size_t{1} << 20, std::size_t{256} << 20);

@@ -87,6 +87,28 @@ fi
   echo
   echo "![Seconds a frame against the blocks in the cache, lossless blocks](images/out_of_core.svg)"
   echo
+  echo "## Memory by \`--memory\`"
+  echo
+  echo "Most memory resident, libraries and all, in MB: the field of the mark made, its model, and three frames of it. The pictures are the same, bit for bit."
+  echo
+  echo "| \`--memory\` | MB allowed | acquire | model | render, plain | render, guided |"
+  echo "|---|---|---|---|---|---|"
+  for budget in 256M 1G 4G; do
+    peaks=()
+    measured() {
+      "$srf" "$@" --memory "$budget" --stats "$work/stats.json" > /dev/null 2>&1
+      peaks+=("$(awk -F'[:,]' '/"peak_memory_bytes"/ { printf "%.0f", $2 / 1e6 }' "$work/stats.json")")
+    }
+    measured acquire "$work/bumpy" -o "$work/small.srf" --hull-resolution 90
+    measured model "$work/small.srf"
+    for way in plain guided; do
+      measured render tools/benchmark/twist.json --srf "$work/small.srf" --set "/interpolation=\"$way\"" --frames 5-7 \
+        -o "$work/$way.$budget.####.exr"
+    done
+    printf '| %s | %s | %s | %s | %s | %s |\n' "$budget" "$(($(numfmt --from=iec "$budget") / 1000000))" "${peaks[@]}"
+    "$srf" compare "$work/plain.$budget.0005.exr" "$work/plain.256M.0005.exr" > "$work/compare.txt"
+  done
+  echo
   echo "## Kernels, each beside its plain counterpart in double"
   echo
   echo "One thread, everything in the processor's caches (\`bench/kernel_benchmark.cpp\`). An item is a product of a channel and a light, a value of the model, a key or"
