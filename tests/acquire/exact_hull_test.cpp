@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
-#include <random>
 
 #include "acquire/silhouette_contours.h"
 #include "acquire/surface_distance.h"
@@ -192,14 +191,6 @@ TEST(ExactHull, AgreesWithCarvingOfTheSamePolygons) {
   EXPECT_EQ(exactHull(polygons, cube(2), Reporter::silent()).positions, exact.positions);
 }
 
-// Leaves the heap so that things made in one order come to lie in another.
-void scatterHeap(unsigned seed) {
-  std::mt19937 random(seed);
-  std::vector<std::unique_ptr<char[]>> blocks;
-  for (int i = 0; i < 20000; ++i) blocks.push_back(std::make_unique<char[]>(16 * (1 + random() % 24)));
-  std::shuffle(blocks.begin(), blocks.end(), random);
-}
-
 TEST(ExactHull, TheSameMasksGiveTheSameBits) {
   // Stairs and equal parts: many vertices whose loss costs the same.
   std::vector<SilhouetteView> views;
@@ -222,10 +213,10 @@ TEST(ExactHull, TheSameMasksGiveTheSameBits) {
   const auto polygons = polygonsOf();
   const AcquisitionMesh hull = exactHull(polygons, cube(2), Reporter::silent());
   for (unsigned seed = 1; seed <= 4; ++seed) {
-    scatterHeap(seed);
+    test::scatterHeap(seed);
     const auto again = polygonsOf();
     for (std::size_t i = 0; i < polygons.size(); ++i) EXPECT_EQ(again[i].loops, polygons[i].loops) << seed;
-    scatterHeap(seed + 100);
+    test::scatterHeap(seed + 100);
     const AcquisitionMesh hull_again = exactHull(polygons, cube(2), Reporter::silent());
     EXPECT_EQ(hull_again.positions, hull.positions) << seed;
     EXPECT_EQ(hull_again.triangles, hull.triangles) << seed;
