@@ -166,6 +166,21 @@ TEST(ExactHull, WhatACroppedPictureDoesNotShowIsKept) {
   EXPECT_NEAR(meshVolume(mesh), 4 * (16 - 4 + 1.4 * 0.4), 0.05);
 }
 
+TEST(ExactHull, BackgroundTakenAwayLeavesTheSameCornersAsTheObjectKept) {
+  std::vector<SilhouettePolygons> object, background;
+  for (int i = 0; i < 12; ++i) {
+    object.push_back(wavyOutline(i, 12, 24));
+    background.push_back(object.back());
+    background.back().of_background = true;
+    background.back().loops.push_back(square(128, 128));
+  }
+  // Every point of the box beside the object is seen as background by some view.
+  const AcquisitionMesh kept = exactHull(object, cube(1.05), Reporter::silent());
+  const AcquisitionMesh left = exactHull(background, cube(1.05), Reporter::silent());
+  EXPECT_NEAR(meshVolume(left), meshVolume(kept), 1e-12);
+  EXPECT_EQ(left.positions.size(), kept.positions.size()) << "vertices within facets are left";
+}
+
 TEST(ExactHull, AgreesWithCarvingOfTheSamePolygons) {
   std::vector<SilhouettePolygons> polygons;
   std::vector<SilhouetteView> masks;
