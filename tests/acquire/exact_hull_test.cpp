@@ -6,6 +6,8 @@
 #include <cmath>
 #include <memory>
 
+#include "acquire/camera_import.h"
+#include "acquire/silhouette.h"
 #include "acquire/silhouette_contours.h"
 #include "acquire/surface_distance.h"
 #include "base/error.h"
@@ -204,6 +206,40 @@ TEST(ExactHull, AgreesWithCarvingOfTheSamePolygons) {
   EXPECT_NEAR(meshVolume(exact) / meshVolume(carved.mesh), 1, 0.003);
   // The same bits again: nothing depends on where things lie in memory.
   EXPECT_EQ(exactHull(polygons, cube(2), Reporter::silent()).positions, exact.positions);
+}
+
+TEST(ExactHull, AgreesWithCarvingOfPhotographs) {
+  SRF_REQUIRE_DATA(data, "middlebury");
+  for (const char* name : {"templeSparseRing", "dinoSparseRing"}) {
+    SCOPED_TRACE(name);
+    const Capture capture = openCapture(data / name, Reporter::silent());
+    std::vector<SilhouettePolygons> polygons;
+    std::vector<SilhouetteView> masks;
+    for (const SilhouetteView& view : silhouettes(capture, {}, Reporter::silent())) {
+      polygons.push_back(silhouettePolygons(view, 2));
+      masks.push_back({view.name, polygons.back().camera,
+                       coverageOf(polygons.back().loops, view.camera.lens.width, view.camera.lens.height)});
+      if (polygons.back().of_background)
+        for (std::uint8_t& v : masks.back().mask.data()) v = static_cast<std::uint8_t>(255 - v);
+    }
+    HullOptions options;
+    options.exclude_outliers = false;
+    options.bounds = capture.bounds;
+    const VisualHull carved = carveVisualHull(masks, options, Reporter::silent());
+    const AcquisitionMesh exact = exactHull(polygons, *capture.bounds, Reporter::silent());
+    const MeshTopology topology = meshTopology(exact);
+    EXPECT_TRUE(topology.closed && topology.manifold && topology.oriented);
+    // Slits narrower than a cell are not carved: the largest distance holds one way.
+    auto off = distancesTo(exact, carved.mesh.positions), back = distancesTo(carved.mesh, pointsOn(exact, 100000));
+    std::sort(off.begin(), off.end());
+    std::sort(back.begin(), back.end());
+    for (const auto& way : {off, back}) {
+      EXPECT_LT(way[way.size() / 2], 0.25 * carved.cell);
+      EXPECT_LT(way[way.size() * 95 / 100], 0.25 * carved.cell);
+    }
+    EXPECT_LT(off.back(), 1.75 * carved.cell);
+    EXPECT_NEAR(meshVolume(exact) / meshVolume(carved.mesh), 1, 0.002);
+  }
 }
 
 TEST(ExactHull, TheSameMasksGiveTheSameBits) {
