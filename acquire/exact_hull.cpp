@@ -201,8 +201,9 @@ std::unique_ptr<Polyhedron> conePolyhedron(const SilhouettePolygons& view, doubl
     }
   }
   const FilledPolygons base = filled<Plane>(loops);
+  // A cone of background is taken away: its sides then face the other way.
   const auto number = [&](const Vec3& normal) {
-    normals.push_back(normal);
+    normals.push_back(view.of_background ? -normal : normal);
     return static_cast<std::uint32_t>(normals.size() - 1);
   };
   // Camera space is right-handed with z forwards: counter-clockwise in x, y faces away from the camera. The ends are

@@ -2,14 +2,19 @@
 
 #define CGAL_EIGEN3_ENABLED 1  // the solver of the Poisson equation
 #include <CGAL/Exact_predicates_inexact_constructions_kernel.h>
+#include <CGAL/IO/facets_in_complex_2_to_triangle_mesh.h>
+#include <CGAL/Implicit_surface_3.h>
+#include <CGAL/Poisson_reconstruction_function.h>
 #include <CGAL/Polygon_mesh_processing/orient_polygon_soup.h>
 #include <CGAL/Random.h>
 #include <CGAL/Surface_mesh.h>
+#include <CGAL/Surface_mesh_default_criteria_3.h>
+#include <CGAL/Surface_mesh_default_triangulation_3.h>
 #include <CGAL/compute_average_spacing.h>
 #include <CGAL/grid_simplify_point_set.h>
+#include <CGAL/make_surface_mesh.h>
 #include <CGAL/mst_orient_normals.h>
 #include <CGAL/pca_estimate_normals.h>
-#include <CGAL/poisson_surface_reconstruction.h>
 #include <CGAL/property_map.h>
 #include <CGAL/remove_outliers.h>
 
@@ -297,6 +302,58 @@ ImportedShape importMesh(AcquisitionMesh mesh, const std::string& file, Reporter
 
 // --- Point clouds ----------------------------------------------------------------------------------------------------
 
+// A vertex or cell that knows when it was made. CGAL's mesher walks sets of them, which are else ordered by address:
+// the surface would change from run to run.
+template <class Base>
+struct Stamped : Base {
+  template <class Structure>
+  struct Rebind_TDS {
+    using Other = Stamped<typename Base::template Rebind_TDS<Structure>::Other>;
+  };
+  using Has_timestamp = CGAL::Tag_true;
+  using Base::Base;
+
+  std::size_t time_stamp() const { return stamp_; }
+  void set_time_stamp(std::size_t stamp) { stamp_ = stamp; }
+
+ private:
+  std::size_t stamp_ = static_cast<std::size_t>(-1);
+};
+using MesherTraits = CGAL::Robust_circumcenter_traits_3<Kernel>;
+using MesherVertex = Stamped<CGAL::Surface_mesh_vertex_base_3<MesherTraits>>;
+using MesherCell =
+    Stamped<CGAL::Delaunay_triangulation_cell_base_with_circumcenter_3<MesherTraits,
+                                                                       CGAL::Surface_mesh_cell_base_3<MesherTraits>>>;
+using MesherTriangulation =
+    CGAL::Delaunay_triangulation_3<MesherTraits, CGAL::Triangulation_data_structure_3<MesherVertex, MesherCell>>;
+using PoissonFunction = CGAL::Poisson_reconstruction_function<Kernel>;
+
+// The zero set of the function. `angle`: least of a triangle, degrees; `size`, `approximation`: lengths.
+AcquisitionMesh zeroSet(PoissonFunction& function, double angle, double size, double approximation) {
+  const double reach = 5 * std::sqrt(function.bounding_sphere().squared_radius());
+  const CGAL::Implicit_surface_3<Kernel, PoissonFunction> surface(
+      function, Kernel::Sphere_3(function.get_inner_point(), reach * reach), approximation / 1000 / reach);
+  MesherTriangulation triangulation;
+  CGAL::Complex_2_in_triangulation_3<MesherTriangulation> complex(triangulation);
+  CGAL::make_surface_mesh(complex, surface,
+                          CGAL::Surface_mesh_default_criteria_3<MesherTriangulation>(angle, size, approximation),
+                          CGAL::Manifold_with_boundary_tag());
+  CGAL::Surface_mesh<Kernel::Point_3> found;
+  CGAL::facets_in_complex_2_to_triangle_mesh(complex, found);
+  AcquisitionMesh mesh;
+  for (const auto v : found.vertices()) {
+    const auto& p = found.point(v);
+    mesh.positions.emplace_back(p.x(), p.y(), p.z());
+  }
+  for (const auto f : found.faces()) {
+    Triangle t;
+    int k = 0;
+    for (const auto v : CGAL::vertices_around_face(found.halfedge(f), found)) t[k++] = v.idx();
+    mesh.triangles.push_back(t);
+  }
+  return mesh;
+}
+
 // Laser range data: outliers go, normals are found where absent, and the Poisson equation makes a closed surface
 // (Kazhdan et al. 2006, as CGAL solves it).
 // `sensors`: where each point was seen from; empty where nobody tells. Until the normals are known, a point's vector
@@ -358,28 +415,17 @@ ImportedShape importPoints(const AcquisitionMesh& cloud, const std::vector<Point
   spacing = CGAL::compute_average_spacing<CGAL::Sequential_tag>(points, 6, maps);
   constexpr double kAngle = 25, kTriangle = 2.5,
                    kApproximation = 0.2;  // degrees; triangle size, distance: of the spacing
+  PoissonFunction function(points.begin(), points.end(), CGAL::First_of_pair_property_map<PointVector>(),
+                           CGAL::Second_of_pair_property_map<PointVector>());
+  if (!function.compute_implicit_function())
+    throw badInput(file, "no surface could be made of the points; check their normals");
   // CGAL's mesher begins at random places, by the time of day unless told otherwise, and from some of them a triangle
   // is left out: the first seed whose surface is closed, always the same.
   constexpr unsigned kSeeds = 8;
   ImportedShape shape;
   for (unsigned seed = 0; seed < kSeeds; ++seed) {
     CGAL::get_default_random() = CGAL::Random(seed);
-    CGAL::Surface_mesh<Kernel::Point_3> surface;
-    if (!CGAL::poisson_surface_reconstruction_delaunay(
-            points.begin(), points.end(), CGAL::First_of_pair_property_map<PointVector>(),
-            CGAL::Second_of_pair_property_map<PointVector>(), surface, spacing, kAngle, kTriangle, kApproximation))
-      throw badInput(file, "no surface could be made of the points; check their normals");
-    AcquisitionMesh mesh;
-    for (const auto v : surface.vertices()) {
-      const auto& p = surface.point(v);
-      mesh.positions.emplace_back(p.x(), p.y(), p.z());
-    }
-    for (const auto f : surface.faces()) {
-      Triangle t;
-      int k = 0;
-      for (const auto v : CGAL::vertices_around_face(surface.halfedge(f), surface)) t[k++] = v.idx();
-      mesh.triangles.push_back(t);
-    }
+    AcquisitionMesh mesh = zeroSet(function, kAngle, kTriangle * spacing, kApproximation * spacing);
     cleanMesh(mesh);
     const MeshTopology topology = meshTopology(mesh);
     const bool whole = topology.closed && topology.manifold && topology.oriented;

@@ -5,8 +5,9 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
-#include <random>
 
+#include "acquire/camera_import.h"
+#include "acquire/silhouette.h"
 #include "acquire/silhouette_contours.h"
 #include "acquire/surface_distance.h"
 #include "base/error.h"
@@ -167,6 +168,21 @@ TEST(ExactHull, WhatACroppedPictureDoesNotShowIsKept) {
   EXPECT_NEAR(meshVolume(mesh), 4 * (16 - 4 + 1.4 * 0.4), 0.05);
 }
 
+TEST(ExactHull, BackgroundTakenAwayLeavesTheSameCornersAsTheObjectKept) {
+  std::vector<SilhouettePolygons> object, background;
+  for (int i = 0; i < 12; ++i) {
+    object.push_back(wavyOutline(i, 12, 24));
+    background.push_back(object.back());
+    background.back().of_background = true;
+    background.back().loops.push_back(square(128, 128));
+  }
+  // Every point of the box beside the object is seen as background by some view.
+  const AcquisitionMesh kept = exactHull(object, cube(1.05), Reporter::silent());
+  const AcquisitionMesh left = exactHull(background, cube(1.05), Reporter::silent());
+  EXPECT_NEAR(meshVolume(left), meshVolume(kept), 1e-12);
+  EXPECT_EQ(left.positions.size(), kept.positions.size()) << "vertices within facets are left";
+}
+
 TEST(ExactHull, AgreesWithCarvingOfTheSamePolygons) {
   std::vector<SilhouettePolygons> polygons;
   std::vector<SilhouetteView> masks;
@@ -192,12 +208,38 @@ TEST(ExactHull, AgreesWithCarvingOfTheSamePolygons) {
   EXPECT_EQ(exactHull(polygons, cube(2), Reporter::silent()).positions, exact.positions);
 }
 
-// Leaves the heap so that things made in one order come to lie in another.
-void scatterHeap(unsigned seed) {
-  std::mt19937 random(seed);
-  std::vector<std::unique_ptr<char[]>> blocks;
-  for (int i = 0; i < 20000; ++i) blocks.push_back(std::make_unique<char[]>(16 * (1 + random() % 24)));
-  std::shuffle(blocks.begin(), blocks.end(), random);
+TEST(ExactHull, AgreesWithCarvingOfPhotographs) {
+  SRF_REQUIRE_DATA(data, "middlebury");
+  for (const char* name : {"templeSparseRing", "dinoSparseRing"}) {
+    SCOPED_TRACE(name);
+    const Capture capture = openCapture(data / name, Reporter::silent());
+    std::vector<SilhouettePolygons> polygons;
+    std::vector<SilhouetteView> masks;
+    for (const SilhouetteView& view : silhouettes(capture, {}, Reporter::silent())) {
+      polygons.push_back(silhouettePolygons(view, 2));
+      masks.push_back({view.name, polygons.back().camera,
+                       coverageOf(polygons.back().loops, view.camera.lens.width, view.camera.lens.height)});
+      if (polygons.back().of_background)
+        for (std::uint8_t& v : masks.back().mask.data()) v = static_cast<std::uint8_t>(255 - v);
+    }
+    HullOptions options;
+    options.exclude_outliers = false;
+    options.bounds = capture.bounds;
+    const VisualHull carved = carveVisualHull(masks, options, Reporter::silent());
+    const AcquisitionMesh exact = exactHull(polygons, *capture.bounds, Reporter::silent());
+    const MeshTopology topology = meshTopology(exact);
+    EXPECT_TRUE(topology.closed && topology.manifold && topology.oriented);
+    // Slits narrower than a cell are not carved: the largest distance holds one way.
+    auto off = distancesTo(exact, carved.mesh.positions), back = distancesTo(carved.mesh, pointsOn(exact, 100000));
+    std::sort(off.begin(), off.end());
+    std::sort(back.begin(), back.end());
+    for (const auto& way : {off, back}) {
+      EXPECT_LT(way[way.size() / 2], 0.25 * carved.cell);
+      EXPECT_LT(way[way.size() * 95 / 100], 0.25 * carved.cell);
+    }
+    EXPECT_LT(off.back(), 1.75 * carved.cell);
+    EXPECT_NEAR(meshVolume(exact) / meshVolume(carved.mesh), 1, 0.002);
+  }
 }
 
 TEST(ExactHull, TheSameMasksGiveTheSameBits) {
@@ -222,10 +264,10 @@ TEST(ExactHull, TheSameMasksGiveTheSameBits) {
   const auto polygons = polygonsOf();
   const AcquisitionMesh hull = exactHull(polygons, cube(2), Reporter::silent());
   for (unsigned seed = 1; seed <= 4; ++seed) {
-    scatterHeap(seed);
+    test::scatterHeap(seed);
     const auto again = polygonsOf();
     for (std::size_t i = 0; i < polygons.size(); ++i) EXPECT_EQ(again[i].loops, polygons[i].loops) << seed;
-    scatterHeap(seed + 100);
+    test::scatterHeap(seed + 100);
     const AcquisitionMesh hull_again = exactHull(polygons, cube(2), Reporter::silent());
     EXPECT_EQ(hull_again.positions, hull.positions) << seed;
     EXPECT_EQ(hull_again.triangles, hull.triangles) << seed;

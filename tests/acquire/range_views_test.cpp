@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <filesystem>
 
 #include "acquire/shape_import.h"
 #include "acquire/surface_distance.h"
@@ -43,6 +44,40 @@ TEST(RangeViews, NoisyViewsWithOutliersGiveTheSurfaceWithinThreeSigma) {
       RecordProperty("p95_in_sigma", std::to_string(off[off.size() * 95 / 100] / kNoise));
     }
   }
+}
+
+TEST(RangeViews, TheSameViewsGiveTheSameBits) {
+  const test::TemporaryFolder folder;
+  SyntheticCaptureOptions options;
+  options.views = options.lights = 1;
+  options.size = 40;
+  options.supersampling = 1;
+  options.range_views = 6;
+  options.range_noise = 0.01;
+  options.range_outliers = 0.05;
+  writeSyntheticCapture(options, folder / "capture", Reporter::silent());
+  // With the sensors' places, and as one cloud whose normals neighbours settle.
+  AcquisitionMesh cloud;
+  for (const auto& entry : std::filesystem::directory_iterator(folder / "capture" / "ranges")) {
+    const auto points = readRangeView(entry.path()).points.positions;
+    cloud.positions.insert(cloud.positions.end(), points.begin(), points.end());
+  }
+  std::vector<AcquisitionMesh> first;
+  for (unsigned seed = 0; seed < 5; ++seed)
+    for (const bool views : {true, false}) {
+      test::scatterHeap(seed);
+      const AcquisitionMesh mesh = (views ? importShape(folder / "capture" / "ranges", Reporter::silent())
+                                          : importShape(cloud, "cloud", Reporter::silent()))
+                                       .mesh;
+      if (seed == 0) {
+        first.push_back(mesh);
+        continue;
+      }
+      const AcquisitionMesh& before = first[views ? 0 : 1];
+      EXPECT_TRUE(mesh.positions == before.positions) << seed << views;
+      EXPECT_TRUE(mesh.triangles == before.triangles) << seed << views;
+      EXPECT_TRUE(mesh.normals == before.normals) << seed << views;
+    }
 }
 
 TEST(RangeViews, TheSensorsPlaceSurvivesTheFile) {

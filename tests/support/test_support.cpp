@@ -2,8 +2,12 @@
 
 #include <stdlib.h>
 
+#include <algorithm>
 #include <cstdlib>
+#include <memory>
+#include <random>
 #include <stdexcept>
+#include <vector>
 
 #include "base/error.h"
 
@@ -26,6 +30,13 @@ std::string messageOf(const std::function<void()>& action) {
     return e.what();
   }
   return "";
+}
+
+void scatterHeap(unsigned seed) {
+  std::mt19937 random(seed);
+  std::vector<std::unique_ptr<char[]>> blocks;
+  for (int i = 0; i < 20000; ++i) blocks.push_back(std::make_unique<char[]>(16 * (1 + random() % 24)));
+  std::shuffle(blocks.begin(), blocks.end(), random);
 }
 
 std::filesystem::path sourceFolder() {

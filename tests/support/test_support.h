@@ -24,6 +24,8 @@ class TemporaryFolder {
 
 /// What the srf::Error says that `action` throws; "" where it throws none.
 std::string messageOf(const std::function<void()>& action);
+/// Leaves the heap so that things made in one order come to lie in another.
+void scatterHeap(unsigned seed);
 /// The checkout that the tests were built from.
 std::filesystem::path sourceFolder();
 /// `SRF_DATA`/name, or shared/data/name beside the checkout; nothing where it is absent: the test then says 'skipped'.
