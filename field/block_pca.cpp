@@ -10,7 +10,8 @@
 namespace srf {
 namespace {
 
-constexpr int kRows = kTile * kTile * 3;  // a texel's channel each
+constexpr int kTexels = kTile * kTile;
+constexpr int kRows = kTexels * 3;  // a texel's channel each
 constexpr int kMostRank = 255;
 // Of the block's mean: below it a sensor's own noise outweighs that of photons.
 constexpr double kDarkShare = 0.05;
@@ -160,15 +161,16 @@ bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored,
   std::memcpy(&header, stored.data(), sizeof header);
   const int rank = header.rank, lights = g.light_count;
   if (rank < 1 || stored.size() != storedBytes(g, rank)) return false;
+  block.rank = rank;
   block.pad = rankPad(rank);
-  block.halves.assign(static_cast<std::size_t>(kRows) * block.pad, 0);
+  block.halves.resize(static_cast<std::size_t>(kRows) * rank);
   block.basis.assign(static_cast<std::size_t>(lights) * block.pad, 0.f);
   const std::byte* at = stored.data() + sizeof header;
   const std::byte* low = stored.data() + stored.size() - 2 * static_cast<std::size_t>(rank) * kRows;
   const std::byte* high = low + static_cast<std::size_t>(rank) * kRows;
   std::int16_t whole[kRows];
   float values[kRows];
-  std::uint16_t halves[kRows];
+  constexpr int kWide = 3 * kTile;  // a row of texels
   for (int k = 0; k < rank; ++k, low += kRows, high += kRows) {
     StoredComponent head;
     std::memcpy(&head, at, sizeof head);
@@ -186,11 +188,14 @@ bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored,
           static_cast<std::uint16_t>(static_cast<unsigned>(low[row]) | static_cast<unsigned>(high[row]) << 8);
       whole[row] = unfolded(code);
     }
-    if (head.differences)
-      for (int row = 3; row < kRows; ++row) whole[row] = static_cast<std::int16_t>(whole[row] + whole[before(row)]);
-    for (int row = 0; row < kRows; ++row) values[row] = whole[row];
-    halvesFromFloats(values, halves, kRows);  // exact up to 2048 steps
-    for (int row = 0; row < kRows; ++row) block.halves[static_cast<std::size_t>(row) * block.pad + k] = halves[row];
+    if (head.differences) {
+      for (int row = 3; row < kWide; ++row) whole[row] = static_cast<std::int16_t>(whole[row] + whole[row - 3]);
+      for (std::int16_t* to = whole + kWide; to < whole + kRows; to += kWide)
+        for (int i = 0; i < kWide; ++i) to[i] = static_cast<std::int16_t>(to[i] + to[i - kWide]);
+    }
+    for (int c = 0; c < 3; ++c)
+      for (int texel = 0; texel < kTexels; ++texel) values[c * kTexels + texel] = whole[3 * texel + c];
+    halvesFromFloats(values, &block.halves[static_cast<std::size_t>(k) * kRows], kRows);  // exact up to 2048 steps
   }
   return true;
 }
@@ -201,18 +206,19 @@ void expandBlock(const StoreGeometry& g, const ReflectanceBlock& block, std::spa
     return;
   }
   const int light_pad = g.lightPad();
-  std::vector<float> coefficients(block.pad), sum(light_pad);
-  std::vector<float> vectors(static_cast<std::size_t>(block.pad) * light_pad, 0.f);  // [k][light]
-  for (int k = 0; k < block.pad; ++k)
+  std::vector<float> coefficients(static_cast<std::size_t>(block.rank) * kRows), sum(light_pad);
+  floatsFromHalves(block.halves.data(), coefficients.data(), block.rank * kRows);
+  std::vector<float> vectors(static_cast<std::size_t>(block.rank) * light_pad, 0.f);  // [k][light]
+  for (int k = 0; k < block.rank; ++k)
     for (int j = 0; j < g.light_count; ++j)
       vectors[static_cast<std::size_t>(k) * light_pad + j] = block.basis[static_cast<std::size_t>(j) * block.pad + k];
   for (int row = 0; row < kRows; ++row) {
-    floatsFromHalves(block.halves.data() + static_cast<std::size_t>(row) * block.pad, coefficients.data(), block.pad);
     std::fill(sum.begin(), sum.end(), 0.f);
-    for (int k = 0; k < block.pad; ++k) {
-      if (coefficients[k] == 0) continue;
+    for (int k = 0; k < block.rank; ++k) {
+      const float coefficient = coefficients[(static_cast<std::size_t>(k) * 3 + row % 3) * kTexels + row / 3];
+      if (coefficient == 0) continue;
       const float* vector = vectors.data() + static_cast<std::size_t>(k) * light_pad;
-      for (int j = 0; j < light_pad; ++j) sum[j] += coefficients[k] * vector[j];
+      for (int j = 0; j < light_pad; ++j) sum[j] += coefficient * vector[j];
     }
     for (float& value : sum) value = std::clamp(value, 0.f, 65504.f);
     halvesFromFloats(sum.data(), out.data() + static_cast<std::size_t>(row) * light_pad, light_pad);
