@@ -197,6 +197,11 @@ bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored,
       for (int texel = 0; texel < kTexels; ++texel) values[c * kTexels + texel] = whole[3 * texel + c];
     halvesFromFloats(values, &block.halves[static_cast<std::size_t>(k) * kRows], kRows);  // exact up to 2048 steps
   }
+  block.lit.clear();
+  for (int j = 0; j < lights; ++j) {
+    const auto row = block.basis.begin() + static_cast<std::ptrdiff_t>(j) * block.pad;
+    if (std::any_of(row, row + rank, [](float value) { return value != 0; })) block.lit.push_back(j);
+  }
   return true;
 }
 

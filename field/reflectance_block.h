@@ -19,8 +19,11 @@ struct ReflectanceBlock {
   int pad = 0;                        ///< lightPad(), or the rank rounded up to a multiple of kRankGroup
   std::vector<std::uint16_t> halves;  ///< half[16][16][3][pad], or half[rank][3][16][16]
   std::vector<float> basis;           ///< float[light_count][pad]
+  std::vector<std::uint32_t> lit;     ///< lights in whose rows of the basis is a number; rising
 
-  std::size_t bytes() const { return halves.size() * sizeof halves[0] + basis.size() * sizeof basis[0]; }
+  std::size_t bytes() const {
+    return halves.size() * sizeof halves[0] + basis.size() * sizeof basis[0] + lit.size() * sizeof lit[0];
+  }
 };
 
 inline constexpr int kRankGroup = 8;

@@ -73,7 +73,8 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
       products.add(alone, gathered, product);
       products.flush();
       // At a coarser level the first of the pixels that the texel stands for.
-      hit.texels.push_back({operation.view, geometry.crop_x + ((place.x * kTile + operation.x + t % 2) << place.level),
+      hit.texels.push_back({operation.view,
+                            geometry.crop_x + ((place.x * kTile + operation.x + t % 2) << place.level),
                             geometry.crop_y + ((place.y * kTile + operation.y + t / 2) << place.level),
                             operation.tap[t],
                             {product[0], product[1], product[2]}});

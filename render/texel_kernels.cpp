@@ -89,35 +89,37 @@ void lights(const std::uint16_t* texel, int pad, const std::uint32_t* light, int
 }
 
 template <int kVectors>
-void projectOf(const float* basis, int rank_pad, int lights, const float* const* vectors, int light_pad,
-               float* const* projected) {
+void projectOf(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
+               int light_pad, float* const* projected) {
   const hn::CappedTag<float, kRankGroup> d;
   for (int k = 0; k < rank_pad; k += static_cast<int>(hn::Lanes(d))) {
     hn::Vec<decltype(d)> sum[kVectors][3];
     for (auto& of_vector : sum)
       for (auto& channel : of_vector) channel = hn::Zero(d);
-    for (int j = 0; j < lights; ++j) {
+    for (const std::uint32_t j : lit) {
       const auto row = hn::LoadU(d, basis + static_cast<std::size_t>(j) * rank_pad + k);
       for (int v = 0; v < kVectors; ++v)
-        for (int c = 0; c < 3; ++c)
-          sum[v][c] = hn::MulAdd(row, hn::Set(d, vectors[v][c * light_pad + j]), sum[v][c]);
+        for (int c = 0; c < 3; ++c) {
+          const auto weight = hn::Set(d, vectors[v][static_cast<std::size_t>(c) * light_pad + j]);
+          sum[v][c] = hn::MulAdd(row, weight, sum[v][c]);
+        }
     }
     for (int v = 0; v < kVectors; ++v)
       hn::StoreInterleaved4(sum[v][0], sum[v][1], sum[v][2], hn::Zero(d), d, projected[v] + k * kProductRow);
   }
 }
 
-void project(const float* basis, int rank_pad, int lights, const float* const* vectors, int light_pad, int count,
-             float* const* projected) {
+void project(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
+             int light_pad, int count, float* const* projected) {
   switch (count) {
     case 1:
-      return projectOf<1>(basis, rank_pad, lights, vectors, light_pad, projected);
+      return projectOf<1>(basis, rank_pad, lit, vectors, light_pad, projected);
     case 2:
-      return projectOf<2>(basis, rank_pad, lights, vectors, light_pad, projected);
+      return projectOf<2>(basis, rank_pad, lit, vectors, light_pad, projected);
     case 3:
-      return projectOf<3>(basis, rank_pad, lights, vectors, light_pad, projected);
+      return projectOf<3>(basis, rank_pad, lit, vectors, light_pad, projected);
     default:
-      return projectOf<4>(basis, rank_pad, lights, vectors, light_pad, projected);
+      return projectOf<4>(basis, rank_pad, lit, vectors, light_pad, projected);
   }
 }
 
@@ -237,9 +239,9 @@ void texelLights(const std::uint16_t* texel, int light_pad, const std::uint32_t*
                  float* const* products) {
   HWY_DYNAMIC_DISPATCH(lights)(texel, light_pad, lights, count, products);
 }
-void projectVectors(const float* basis, int rank_pad, int lights, const float* const* vectors, int light_pad, int count,
-                    float* const* projected) {
-  HWY_DYNAMIC_DISPATCH(project)(basis, rank_pad, lights, vectors, light_pad, count, projected);
+void projectVectors(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
+                    int light_pad, int count, float* const* projected) {
+  HWY_DYNAMIC_DISPATCH(project)(basis, rank_pad, lit, vectors, light_pad, count, projected);
 }
 void projectLight(const float* basis, int rank_pad, std::uint32_t light, float* projected) {
   const float* const row = basis + static_cast<std::size_t>(light) * rank_pad;

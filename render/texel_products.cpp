@@ -11,6 +11,7 @@ namespace srf {
 namespace {
 
 constexpr std::uint8_t kNoSlot = 0xff;
+constexpr int kCacheLine = 64 / sizeof(float);
 constexpr std::size_t kHash = 256;  // a power of two, several times the slots
 
 }  // namespace
@@ -41,7 +42,12 @@ std::uint8_t TexelProducts::slotOfVector(const float* vector) {
   for (;; at = (at + 1) % kHash) {
     std::uint8_t& slot = slot_of_hash_[at];
     if (slot != kNoSlot && vector_[slot] != vector) continue;
-    if (slot == kNoSlot) slot = newSlot(vector, 0);
+    if (slot == kNoSlot) {
+      slot = newSlot(vector, 0);
+      // It is read once the block's other operations have been looked at.
+      for (const float *at = vector, *end = vector + 3 * lightPad(light_count_); at < end; at += kCacheLine)
+        __builtin_prefetch(at);
+    }
     return slot;
   }
 }
@@ -156,7 +162,7 @@ void TexelProducts::fillInBasis() {
   float* of_vector[kProductVectors];
   int count = 0;
   const auto project = [&] {
-    if (count > 0) projectVectors(basis, pad, light_count_, vectors, lightPad(light_count_), count, of_vector);
+    if (count > 0) projectVectors(basis, pad, block_->lit, vectors, lightPad(light_count_), count, of_vector);
     count = 0;
   };
   for (int slot = 0; slot < slots_; ++slot) {
