@@ -170,18 +170,21 @@ bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored,
   const std::byte* high = low + static_cast<std::size_t>(rank) * kRows;
   std::int16_t whole[kRows];
   float values[kRows];
+  std::vector<std::uint16_t> halves(g.lightPad(), 0);
+  std::vector<float> vector(halves.size());
   constexpr int kWide = 3 * kTile;  // a row of texels
   for (int k = 0; k < rank; ++k, low += kRows, high += kRows) {
     StoredComponent head;
     std::memcpy(&head, at, sizeof head);
     at += sizeof head;
     if (!std::isfinite(head.scale)) return false;
-    for (int j = 0; j < lights; ++j, at += 2) {
-      std::uint16_t half;
-      std::memcpy(&half, at, sizeof half);
-      float& basis = block.basis[static_cast<std::size_t>(j) * block.pad + k];
-      basis = floatFromHalf(half) * head.scale;
+    std::memcpy(halves.data(), at, 2 * static_cast<std::size_t>(lights));
+    at += 2 * static_cast<std::size_t>(lights);
+    floatsFromHalves(halves.data(), vector.data(), static_cast<int>(vector.size()));
+    for (int j = 0; j < lights; ++j) {
+      const float basis = vector[j] * head.scale;
       if (!std::isfinite(basis)) return false;
+      block.basis[static_cast<std::size_t>(j) * block.pad + k] = basis;
     }
     for (int row = 0; row < kRows; ++row) {
       const auto code =
@@ -193,8 +196,11 @@ bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored,
       for (std::int16_t* to = whole + kWide; to < whole + kRows; to += kWide)
         for (int i = 0; i < kWide; ++i) to[i] = static_cast<std::int16_t>(to[i] + to[i - kWide]);
     }
-    for (int c = 0; c < 3; ++c)
-      for (int texel = 0; texel < kTexels; ++texel) values[c * kTexels + texel] = whole[3 * texel + c];
+    for (int texel = 0; texel < kTexels; ++texel) {
+      values[texel] = whole[3 * texel];
+      values[kTexels + texel] = whole[3 * texel + 1];
+      values[2 * kTexels + texel] = whole[3 * texel + 2];
+    }
     halvesFromFloats(values, &block.halves[static_cast<std::size_t>(k) * kRows], kRows);  // exact up to 2048 steps
   }
   block.lit.clear();
