@@ -10,7 +10,8 @@
 namespace srf {
 namespace {
 
-constexpr int kRows = kTile * kTile * 3;  // a texel's channel each
+constexpr int kTexels = kTile * kTile;
+constexpr int kRows = kTexels * 3;  // a texel's channel each
 constexpr int kMostRank = 255;
 // Of the block's mean: below it a sensor's own noise outweighs that of photons.
 constexpr double kDarkShare = 0.05;
@@ -160,37 +161,52 @@ bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored,
   std::memcpy(&header, stored.data(), sizeof header);
   const int rank = header.rank, lights = g.light_count;
   if (rank < 1 || stored.size() != storedBytes(g, rank)) return false;
+  block.rank = rank;
   block.pad = rankPad(rank);
-  block.halves.assign(static_cast<std::size_t>(kRows) * block.pad, 0);
+  block.halves.resize(static_cast<std::size_t>(kRows) * rank);
   block.basis.assign(static_cast<std::size_t>(lights) * block.pad, 0.f);
   const std::byte* at = stored.data() + sizeof header;
   const std::byte* low = stored.data() + stored.size() - 2 * static_cast<std::size_t>(rank) * kRows;
   const std::byte* high = low + static_cast<std::size_t>(rank) * kRows;
   std::int16_t whole[kRows];
   float values[kRows];
-  std::uint16_t halves[kRows];
+  std::vector<std::uint16_t> halves(g.lightPad(), 0);
+  std::vector<float> vector(halves.size());
+  constexpr int kWide = 3 * kTile;  // a row of texels
   for (int k = 0; k < rank; ++k, low += kRows, high += kRows) {
     StoredComponent head;
     std::memcpy(&head, at, sizeof head);
     at += sizeof head;
     if (!std::isfinite(head.scale)) return false;
-    for (int j = 0; j < lights; ++j, at += 2) {
-      std::uint16_t half;
-      std::memcpy(&half, at, sizeof half);
-      float& basis = block.basis[static_cast<std::size_t>(j) * block.pad + k];
-      basis = floatFromHalf(half) * head.scale;
+    std::memcpy(halves.data(), at, 2 * static_cast<std::size_t>(lights));
+    at += 2 * static_cast<std::size_t>(lights);
+    floatsFromHalves(halves.data(), vector.data(), static_cast<int>(vector.size()));
+    for (int j = 0; j < lights; ++j) {
+      const float basis = vector[j] * head.scale;
       if (!std::isfinite(basis)) return false;
+      block.basis[static_cast<std::size_t>(j) * block.pad + k] = basis;
     }
     for (int row = 0; row < kRows; ++row) {
       const auto code =
           static_cast<std::uint16_t>(static_cast<unsigned>(low[row]) | static_cast<unsigned>(high[row]) << 8);
       whole[row] = unfolded(code);
     }
-    if (head.differences)
-      for (int row = 3; row < kRows; ++row) whole[row] = static_cast<std::int16_t>(whole[row] + whole[before(row)]);
-    for (int row = 0; row < kRows; ++row) values[row] = whole[row];
-    halvesFromFloats(values, halves, kRows);  // exact up to 2048 steps
-    for (int row = 0; row < kRows; ++row) block.halves[static_cast<std::size_t>(row) * block.pad + k] = halves[row];
+    if (head.differences) {
+      for (int row = 3; row < kWide; ++row) whole[row] = static_cast<std::int16_t>(whole[row] + whole[row - 3]);
+      for (std::int16_t* to = whole + kWide; to < whole + kRows; to += kWide)
+        for (int i = 0; i < kWide; ++i) to[i] = static_cast<std::int16_t>(to[i] + to[i - kWide]);
+    }
+    for (int texel = 0; texel < kTexels; ++texel) {
+      values[texel] = whole[3 * texel];
+      values[kTexels + texel] = whole[3 * texel + 1];
+      values[2 * kTexels + texel] = whole[3 * texel + 2];
+    }
+    halvesFromFloats(values, &block.halves[static_cast<std::size_t>(k) * kRows], kRows);  // exact up to 2048 steps
+  }
+  block.lit.clear();
+  for (int j = 0; j < lights; ++j) {
+    const auto row = block.basis.begin() + static_cast<std::ptrdiff_t>(j) * block.pad;
+    if (std::any_of(row, row + rank, [](float value) { return value != 0; })) block.lit.push_back(j);
   }
   return true;
 }
@@ -201,18 +217,19 @@ void expandBlock(const StoreGeometry& g, const ReflectanceBlock& block, std::spa
     return;
   }
   const int light_pad = g.lightPad();
-  std::vector<float> coefficients(block.pad), sum(light_pad);
-  std::vector<float> vectors(static_cast<std::size_t>(block.pad) * light_pad, 0.f);  // [k][light]
-  for (int k = 0; k < block.pad; ++k)
+  std::vector<float> coefficients(static_cast<std::size_t>(block.rank) * kRows), sum(light_pad);
+  floatsFromHalves(block.halves.data(), coefficients.data(), block.rank * kRows);
+  std::vector<float> vectors(static_cast<std::size_t>(block.rank) * light_pad, 0.f);  // [k][light]
+  for (int k = 0; k < block.rank; ++k)
     for (int j = 0; j < g.light_count; ++j)
       vectors[static_cast<std::size_t>(k) * light_pad + j] = block.basis[static_cast<std::size_t>(j) * block.pad + k];
   for (int row = 0; row < kRows; ++row) {
-    floatsFromHalves(block.halves.data() + static_cast<std::size_t>(row) * block.pad, coefficients.data(), block.pad);
     std::fill(sum.begin(), sum.end(), 0.f);
-    for (int k = 0; k < block.pad; ++k) {
-      if (coefficients[k] == 0) continue;
+    for (int k = 0; k < block.rank; ++k) {
+      const float coefficient = coefficients[(static_cast<std::size_t>(k) * 3 + row % 3) * kTexels + row / 3];
+      if (coefficient == 0) continue;
       const float* vector = vectors.data() + static_cast<std::size_t>(k) * light_pad;
-      for (int j = 0; j < light_pad; ++j) sum[j] += coefficients[k] * vector[j];
+      for (int j = 0; j < light_pad; ++j) sum[j] += coefficient * vector[j];
     }
     for (float& value : sum) value = std::clamp(value, 0.f, 65504.f);
     halvesFromFloats(sum.data(), out.data() + static_cast<std::size_t>(row) * light_pad, light_pad);

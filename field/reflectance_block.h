@@ -12,16 +12,21 @@
 namespace srf {
 
 /// What the lights of a block's texels are: as photographed, or in a basis of few vectors over the lights,
-/// value[texel][channel][light] = sum over k of halves[texel][channel][k] * basis[light][k].
+/// value[texel][channel][light] = sum over k of halves[k][channel][texel] * basis[light][k]. In a basis the texels lie
+/// side by side: products run over them without a sum across lanes.
 struct ReflectanceBlock {
-  int pad = 0;                        ///< numbers of a texel's channel: lightPad(), or the rank rounded up to 8
-  std::vector<std::uint16_t> halves;  ///< half[16][16][3][pad]
-  std::vector<float> basis;           ///< float[light_count][pad]; empty: as photographed
+  int rank = 0;                       ///< vectors of the basis; 0: as photographed
+  int pad = 0;                        ///< lightPad(), or the rank rounded up to a multiple of kRankGroup
+  std::vector<std::uint16_t> halves;  ///< half[16][16][3][pad], or half[rank][3][16][16]
+  std::vector<float> basis;           ///< float[light_count][pad]
+  std::vector<std::uint32_t> lit;     ///< lights in whose rows of the basis is a number; rising
 
-  std::size_t bytes() const { return halves.size() * sizeof halves[0] + basis.size() * sizeof basis[0]; }
+  std::size_t bytes() const {
+    return halves.size() * sizeof halves[0] + basis.size() * sizeof basis[0] + lit.size() * sizeof lit[0];
+  }
 };
 
-inline constexpr int kRankGroup = 8;  ///< ranks are padded to a multiple
+inline constexpr int kRankGroup = 8;
 
 /// The block as photographed: half[16][16][3][lightPad()]. What a basis makes negative is 0, beyond the range of halves
 /// 65504.

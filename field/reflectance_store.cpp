@@ -511,6 +511,7 @@ std::span<const std::byte> ReflectanceStore::read(const Place& place, ReadBuffer
 void ReflectanceStore::decode(std::uint32_t tile, std::span<const std::byte> stored, ReflectanceBlock& out) const {
   const State& s = *state_;
   const StoreGeometry& g = s.geometry;
+  out.rank = 0;
   out.basis.clear();
   if (!hasTile(tile)) {
     out.pad = g.lightPad();

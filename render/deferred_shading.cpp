@@ -7,7 +7,6 @@
 
 #include "base/parallel.h"
 #include "base/reporter.h"
-#include "render/projected_weights.h"
 #include "render/texel_products.h"
 
 namespace srf {
@@ -111,29 +110,14 @@ void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder or
     for (const Job& job : jobs) last_plan_.push_back(runs[job.begin].key);
     cache_.plan(last_plan_);
   }
-  const auto each = [&](const Job& job, const auto& act) {
-    for (std::size_t r = job.begin; r < job.end; ++r)
-      for (std::uint32_t i = runs[r].begin; i < runs[r].end; ++i) act(batches[runs[r].batch], i);
-  };
   std::atomic<std::size_t> next{0};
   parallelFor(sorted ? static_cast<std::size_t>(threadCount()) : 1, 1, [&](std::size_t, std::size_t) {
     thread_local TexelProducts products;
     for (std::size_t j = next++; j < jobs.size(); j = next++) {
       throwIfInterrupted();
       const ShadingOperation& one = batches[runs[jobs[j].begin].batch].operations[runs[jobs[j].begin].begin];
-      const StoreGeometry& geometry = geometry_[one.view];
       const BlockCache::Handle handle = cache_.get(ViewId{one.view}, one.tile);
-      const ReflectanceBlock& block = handle.block();
-      if (!block.basis.empty()) {
-        ProjectedWeights projected(block, geometry);
-        each(jobs[j], [&](ShadingBatch& batch, std::uint32_t i) {
-          const ShadingOperation& operation = batch.operations[i];
-          const float* weights = projected.of(batch.lights, batch.lights.weights[operation.lights]);
-          batch.results[i] = reflectanceDot(block.halves.data(), block.pad, operation, weights);
-        });
-        continue;
-      }
-      products.begin(block.halves.data(), block.pad);
+      products.begin(handle.block(), geometry_[one.view].light_count);
       for (std::size_t r = jobs[j].begin; r < jobs[j].end; ++r) {
         ShadingBatch& batch = batches[runs[r].batch];
         const std::uint32_t end = runs[r].end;

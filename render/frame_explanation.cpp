@@ -3,7 +3,7 @@
 
 #include "base/check.h"
 #include "render/frame_state.h"
-#include "render/projected_weights.h"
+#include "render/texel_products.h"
 
 namespace srf {
 namespace {
@@ -50,6 +50,7 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
   for (int c = 0; c < 4; ++c) result.rgba[c] = pixelValue(sum[c], plan.pattern.size(), not_finite);
 
   result.merged.resize(block.shading.lights.weights.size());
+  TexelProducts products;
   for (std::size_t i = 0; i < block.shading.operations.size(); ++i) {
     const ShadingOperation& operation = block.shading.operations[i];
     ExplainedHit& hit = result.hits[operation.target];
@@ -63,18 +64,20 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
     result.merged[operation.lights] = nonzero(vector, geometry.light_count);
     const TilePlace place = geometry.place(operation.tile);
     const BlockCache::Handle handle = s.cache->get(ViewId{operation.view}, operation.tile);
-    const ReflectanceBlock& texels = handle.block();
-    ProjectedWeights projected(texels, geometry);
-    if (!texels.basis.empty()) vector = projected.of(gathered, gathered.weights[operation.lights]);
+    products.begin(handle.block(), geometry.light_count);
     for (int t = 0; t < 4; ++t) {
       if (!(operation.tap[t] > 0)) continue;
       ShadingOperation alone = operation;
       for (int other = 0; other < 4; ++other) alone.tap[other] = other == t;
+      Rgb product;
+      products.add(alone, gathered, product);
+      products.flush();
       // At a coarser level the first of the pixels that the texel stands for.
-      hit.texels.push_back({operation.view, geometry.crop_x + ((place.x * kTile + operation.x + t % 2) << place.level),
+      hit.texels.push_back({operation.view,
+                            geometry.crop_x + ((place.x * kTile + operation.x + t % 2) << place.level),
                             geometry.crop_y + ((place.y * kTile + operation.y + t / 2) << place.level),
                             operation.tap[t],
-                            reflectanceDotReference(texels.halves.data(), texels.pad, alone, vector)});
+                            {product[0], product[1], product[2]}});
     }
   }
   for (ExplainedHit& hit : result.hits)

@@ -1,6 +1,7 @@
 #include "render/texel_kernels.h"
 
 #include "base/image_io.h"
+#include "field/reflectance_block.h"
 #include "render/highway_targets.h"
 
 #undef HWY_TARGET_INCLUDE
@@ -87,6 +88,74 @@ void lights(const std::uint16_t* texel, int pad, const std::uint32_t* light, int
   }
 }
 
+template <int kVectors>
+void projectOf(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
+               int light_pad, float* const* projected) {
+  const hn::CappedTag<float, kRankGroup> d;
+  for (int k = 0; k < rank_pad; k += static_cast<int>(hn::Lanes(d))) {
+    hn::Vec<decltype(d)> sum[kVectors][3];
+    for (auto& of_vector : sum)
+      for (auto& channel : of_vector) channel = hn::Zero(d);
+    for (const std::uint32_t j : lit) {
+      const auto row = hn::LoadU(d, basis + static_cast<std::size_t>(j) * rank_pad + k);
+      for (int v = 0; v < kVectors; ++v)
+        for (int c = 0; c < 3; ++c) {
+          const auto weight = hn::Set(d, vectors[v][static_cast<std::size_t>(c) * light_pad + j]);
+          sum[v][c] = hn::MulAdd(row, weight, sum[v][c]);
+        }
+    }
+    for (int v = 0; v < kVectors; ++v)
+      hn::StoreInterleaved4(sum[v][0], sum[v][1], sum[v][2], hn::Zero(d), d, projected[v] + k * kProductRow);
+  }
+}
+
+void project(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
+             int light_pad, int count, float* const* projected) {
+  switch (count) {
+    case 1:
+      return projectOf<1>(basis, rank_pad, lit, vectors, light_pad, projected);
+    case 2:
+      return projectOf<2>(basis, rank_pad, lit, vectors, light_pad, projected);
+    case 3:
+      return projectOf<3>(basis, rank_pad, lit, vectors, light_pad, projected);
+    default:
+      return projectOf<4>(basis, rank_pad, lit, vectors, light_pad, projected);
+  }
+}
+
+template <int kVectors>
+void rowOf(const std::uint16_t* row, int rank, const float* const* projected, float* const* products) {
+  const F f;
+  const hn::Rebind<hwy::float16_t, F> h;
+  for (std::size_t at = 0; at < kSumLanes; at += hn::Lanes(f)) {
+    Part sum[kVectors][3];
+    for (auto& of_vector : sum)
+      for (Part& channel : of_vector) channel = hn::Zero(f);
+    const auto* halves = reinterpret_cast<const hwy::float16_t*>(row) + at;
+    for (int k = 0; k < rank; ++k)
+      for (int c = 0; c < 3; ++c, halves += kProductTable / kProductRow) {
+        const auto value = hn::PromoteTo(f, hn::LoadU(h, halves));
+        for (int v = 0; v < kVectors; ++v)
+          sum[v][c] = hn::MulAdd(value, hn::Set(f, projected[v][k * kProductRow + c]), sum[v][c]);
+      }
+    for (int v = 0; v < kVectors; ++v)
+      hn::StoreInterleaved4(sum[v][0], sum[v][1], sum[v][2], hn::Zero(f), f, products[v] + at * kProductRow);
+  }
+}
+
+void row(const std::uint16_t* of_texels, int rank, const float* const* projected, int count, float* const* products) {
+  switch (count) {
+    case 1:
+      return rowOf<1>(of_texels, rank, projected, products);
+    case 2:
+      return rowOf<2>(of_texels, rank, projected, products);
+    case 3:
+      return rowOf<3>(of_texels, rank, projected, products);
+    default:
+      return rowOf<4>(of_texels, rank, projected, products);
+  }
+}
+
 // The sum of the two halves of 8 lanes.
 template <class D>
 hn::Vec<hn::FixedTag<float, 4>> halves(D, const hn::Vec<D>* parts) {
@@ -151,6 +220,8 @@ HWY_AFTER_NAMESPACE();
 namespace srf {
 HWY_EXPORT(dots);
 HWY_EXPORT(lights);
+HWY_EXPORT(project);
+HWY_EXPORT(row);
 HWY_EXPORT(sum);
 
 void texelDots(const std::uint16_t* texel, int light_pad, const float* const* vectors, int count,
@@ -167,6 +238,19 @@ std::array<double, 3> texelDotReference(const std::uint16_t* texel, int light_pa
 void texelLights(const std::uint16_t* texel, int light_pad, const std::uint32_t* lights, int count,
                  float* const* products) {
   HWY_DYNAMIC_DISPATCH(lights)(texel, light_pad, lights, count, products);
+}
+void projectVectors(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
+                    int light_pad, int count, float* const* projected) {
+  HWY_DYNAMIC_DISPATCH(project)(basis, rank_pad, lit, vectors, light_pad, count, projected);
+}
+void projectLight(const float* basis, int rank_pad, std::uint32_t light, float* projected) {
+  const float* const row = basis + static_cast<std::size_t>(light) * rank_pad;
+  for (int k = 0; k < rank_pad; ++k)
+    for (int c = 0; c < kProductRow; ++c) projected[k * kProductRow + c] = c < 3 ? row[k] : 0.f;
+}
+void rowProducts(const std::uint16_t* texels, int rank, const float* const* projected, int count,
+                 float* const* products) {
+  HWY_DYNAMIC_DISPATCH(row)(texels, rank, projected, count, products);
 }
 void sumProducts(const float* tables, const ProductSum* sums, std::size_t count) {
   HWY_DYNAMIC_DISPATCH(sum)(tables, sums, count);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <utility>
 
 #include "base/check.h"
 #include "field/reflectance_store.h"
@@ -10,6 +11,7 @@ namespace srf {
 namespace {
 
 constexpr std::uint8_t kNoSlot = 0xff;
+constexpr int kCacheLine = 64 / sizeof(float);
 constexpr std::size_t kHash = 256;  // a power of two, several times the slots
 
 }  // namespace
@@ -21,11 +23,11 @@ TexelProducts::TexelProducts()
   static_assert(kTexels == kTile * kTile && kTexels * kProductRow == kProductTable);
 }
 
-void TexelProducts::begin(const std::uint16_t* block, int light_pad) {
+void TexelProducts::begin(const ReflectanceBlock& block, int light_count) {
   SRF_DCHECK(sums_used_ == 0);
-  block_ = block;
-  pad_ = light_pad;
-  slot_of_light_.assign(light_pad, kNoSlot);
+  block_ = &block;
+  light_count_ = light_count;
+  slot_of_light_.assign(light_count, kNoSlot);
   lights_ = nullptr;
 }
 
@@ -40,7 +42,12 @@ std::uint8_t TexelProducts::slotOfVector(const float* vector) {
   for (;; at = (at + 1) % kHash) {
     std::uint8_t& slot = slot_of_hash_[at];
     if (slot != kNoSlot && vector_[slot] != vector) continue;
-    if (slot == kNoSlot) slot = newSlot(vector, 0);
+    if (slot == kNoSlot) {
+      slot = newSlot(vector, 0);
+      // It is read once the block's other operations have been looked at.
+      for (const float *at = vector, *end = vector + 3 * lightPad(light_count_); at < end; at += kCacheLine)
+        __builtin_prefetch(at);
+    }
     return slot;
   }
 }
@@ -53,16 +60,17 @@ inline std::uint8_t TexelProducts::slotOfLight(std::uint32_t light) {
 
 void TexelProducts::add(const ShadingOperation& operation, const LightGather& lights, Rgb& result) {
   const LightWeights& weights = lights.weights[operation.lights];
-  const bool own = weights.own != LightWeights::kNone;
-  // What is this hit's alone is multiplied at once.
-  if (own) result = reflectanceDot(block_, pad_, operation, lights.own.data() + weights.own);
+  // What is this hit's alone is multiplied at once, or in a basis with all others.
+  const float* const own_vector = weights.own != LightWeights::kNone ? lights.own.data() + weights.own : nullptr;
+  const bool own = own_vector && block_->basis.empty();
+  if (own) result = reflectanceDot(block_->halves.data(), block_->pad, operation, own_vector);
   const LightEntry* entry = lights.entries.data() + weights.first_entry;
   const LightEntry* const entries_end = entry + weights.entries;
   bool first = true;
   // As many terms as there are tables for; mostly all at once.
   while (first || entry < entries_end) {
-    const int now = static_cast<int>(std::min<std::ptrdiff_t>(entries_end - entry, kSlots - 4));
-    if (slots_ + 4 + now > kSlots) flush();
+    const int now = static_cast<int>(std::min<std::ptrdiff_t>(entries_end - entry, kSlots - 5));
+    if (slots_ + 5 + now > kSlots) flush();
     if (lights_ != &lights) {
       lights_ = &lights;
       slot_of_wanted_.assign(lights.vectors.size(), kNoSlot);
@@ -84,15 +92,20 @@ void TexelProducts::add(const ShadingOperation& operation, const LightGather& li
     std::uint8_t* to = begin;
     std::uint64_t slots = 0;
     int shares = 0;
-    if (first)
+    const auto share = [&](float part, std::uint8_t slot) {
+      sum.shares[shares++] = part;
+      slots |= std::uint64_t{1} << slot;
+      *to++ = slot;
+    };
+    if (first) {
       for (int i = 0; i < 4; ++i) {
         if (!(weights.share[i] > 0)) continue;
         std::uint8_t& slot = slot_of_wanted_[weights.shared[i]];
         if (slot == kNoSlot) slot = slotOfVector(lights.vectors[weights.shared[i]]);
-        sum.shares[shares++] = weights.share[i];
-        slots |= std::uint64_t{1} << slot;
-        *to++ = slot;
+        share(weights.share[i], slot);
       }
+      if (own_vector && !own) share(1, slotOfVector(own_vector));
+    }
     sum.share_count = shares;
     sum.entries = entry;
     sum.entry_count = now;
@@ -110,9 +123,10 @@ void TexelProducts::add(const ShadingOperation& operation, const LightGather& li
 }
 
 void TexelProducts::fill() {
+  const int pad = block_->pad;
   for (int texel = 0; texel < kTexels; ++texel) {
     if (!wanted_[texel]) continue;
-    const std::uint16_t* halves = block_ + static_cast<std::size_t>(texel) * 3 * pad_;
+    const std::uint16_t* halves = block_->halves.data() + static_cast<std::size_t>(texel) * 3 * pad;
     const float* vectors[kProductVectors];
     float* products[kProductVectors];
     std::uint32_t lights[kSlots];
@@ -129,18 +143,61 @@ void TexelProducts::fill() {
       vectors[count] = vector_[slot];
       products[count] = to;
       if (++count == kProductVectors) {
-        texelDots(halves, pad_, vectors, count, products);
+        texelDots(halves, pad, vectors, count, products);
         count = 0;
       }
     }
-    if (count > 0) texelDots(halves, pad_, vectors, count, products);
-    texelLights(halves, pad_, lights, light_count, of_light);
+    if (count > 0) texelDots(halves, pad, vectors, count, products);
+    texelLights(halves, pad, lights, light_count, of_light);
     wanted_[texel] = 0;
   }
 }
 
+void TexelProducts::fillInBasis() {
+  const float* const basis = block_->basis.data();
+  const int pad = block_->pad;
+  const std::size_t size = static_cast<std::size_t>(pad) * kProductRow;
+  projected_.resize(kSlots * size);
+  const float* vectors[kProductVectors];
+  float* of_vector[kProductVectors];
+  int count = 0;
+  const auto project = [&] {
+    if (count > 0) projectVectors(basis, pad, block_->lit, vectors, lightPad(light_count_), count, of_vector);
+    count = 0;
+  };
+  for (int slot = 0; slot < slots_; ++slot) {
+    float* const to = projected_.data() + slot * size;
+    if (!vector_[slot]) {
+      projectLight(basis, pad, light_[slot], to);
+      continue;
+    }
+    vectors[count] = vector_[slot];
+    of_vector[count] = to;
+    if (++count == kProductVectors) project();
+  }
+  project();
+  for (int row = 0; row < kTexels; row += kTile) {
+    std::uint64_t wanted = 0;
+    for (int texel = row; texel < row + kTile; ++texel) wanted |= std::exchange(wanted_[texel], 0);
+    while (wanted) {
+      const float* weights[kProductVectors];
+      float* products[kProductVectors];
+      int of_row = 0;
+      for (; wanted && of_row < kProductVectors; ++of_row, wanted &= wanted - 1) {
+        const int slot = std::countr_zero(wanted);
+        weights[of_row] = projected_.data() + slot * size;
+        products[of_row] = table(slot) + static_cast<std::size_t>(row) * kProductRow;
+      }
+      rowProducts(block_->halves.data() + row, block_->rank, weights, of_row, products);
+    }
+  }
+}
+
 void TexelProducts::flush() {
-  fill();
+  if (block_->basis.empty())
+    fill();
+  else
+    fillInBasis();
   const std::uint8_t* slot = terms_.data();
   for (std::size_t i = 0; i < sums_used_; ++i) {
     sums_[i].slot = slot;

@@ -1,13 +1,15 @@
 // The products of one block's texels with what operations multiply them by, each made once however many operations ask
 // for it (M15). An operation's light weights are a blend of vectors that many hits share, plus single lights: by
 // linearity the block's texels are multiplied with each vector alone, and operations blend and interpolate the colours
-// that come out. At two pixels a texel that is a fifth of the work.
+// that come out. At two pixels a texel that is a fifth of the work. A compressed block's vectors go into its basis
+// first, each once, and its texels are then multiplied with a few numbers.
 #pragma once
 
 #include <cstdint>
 #include <memory>
 #include <vector>
 
+#include "field/reflectance_block.h"
 #include "render/light_weights.h"
 #include "render/shading_operation.h"
 #include "render/texel_kernels.h"
@@ -17,8 +19,8 @@ namespace srf {
 class TexelProducts {
  public:
   TexelProducts();
-  /// Begins a block: half[16][16][3][light_pad]. It must stay until flush().
-  void begin(const std::uint16_t* block, int light_pad);
+  /// Begins a block under so many lights. It must stay until flush().
+  void begin(const ReflectanceBlock& block, int light_count);
   /// Notes an operation and where its result goes. Everything must stay until flush().
   void add(const ShadingOperation& operation, const LightGather& lights, Rgb& result);
   /// Has what a later add() reads fetched into the cache.
@@ -42,10 +44,12 @@ class TexelProducts {
   std::uint8_t slotOfLight(std::uint32_t light);
   std::uint8_t newSlot(const float* vector, std::uint32_t light);
   void fill();
+  void fillInBasis();
   float* table(int slot) { return tables_.get() + static_cast<std::size_t>(slot) * kProductTable; }
 
-  const std::uint16_t* block_ = nullptr;
-  int pad_ = 0;
+  const ReflectanceBlock* block_ = nullptr;
+  int light_count_ = 0;
+  std::vector<float> projected_;             ///< of a compressed block: float[kSlots][block_->pad][kProductRow]
   std::unique_ptr<float[]> tables_;          ///< float[kSlots][256][kProductRow]
   int slots_ = 0;                            ///< in use
   const float* vector_[kSlots];              ///< of each slot; none: a single light

@@ -405,6 +405,7 @@ TEST(CompressedBlock, MeetsTheErrorWhereThereIsNoNoise) {
     ASSERT_TRUE(unpackCompressed(g, compressed->stored, read));
     EXPECT_EQ(read.halves, compressed->block.halves);
     EXPECT_EQ(read.basis, compressed->block.basis);
+    EXPECT_EQ(read.lit.size(), 40u);
   }
 }
 
@@ -424,6 +425,7 @@ TEST(CompressedBlock, HandlesMoreLightsThanTexelsAndHardlyAnyTexels) {
   std::vector<std::uint16_t> back(few.blockHalves());
   expandBlock(few, one->block, back);
   EXPECT_NEAR(floatFromHalf(back[5 * few.lightPad() + 3]), 65504, 40);
+  EXPECT_EQ(one->block.lit, std::vector<std::uint32_t>{3});
   EXPECT_EQ(std::count(back.begin(), back.end(), 0), static_cast<int>(back.size()) - 1);
 }
 

@@ -114,6 +114,9 @@ TEST(TexelProducts, AgreeWithTheProductOfTheMergedVector) {
   const StoreGeometry geometry{kTile, kTile, 0, 0, 1, 1, 100};
   const int pad = geometry.lightPad(), count = 3 * pad;
   const auto block = randomBlock(geometry, random);
+  ReflectanceBlock photographed;
+  photographed.pad = pad;
+  photographed.halves.assign(block.begin(), block.end());
   std::vector<std::vector<float>> shared(90, std::vector<float>(count));  // more than there are tables for
   LightGather lights;
   for (auto& vector : shared) {
@@ -143,12 +146,12 @@ TEST(TexelProducts, AgreeWithTheProductOfTheMergedVector) {
   }
   std::vector<Rgb> together(operations.size()), alone(operations.size());
   TexelProducts products;
-  products.begin(block.data(), pad);
+  products.begin(photographed, 100);
   for (std::size_t i = 0; i < operations.size(); ++i) products.add(operations[i], lights, together[i]);
   products.flush();
   std::vector<float> scratch(count);
   for (std::size_t i = 0; i < operations.size(); ++i) {
-    products.begin(block.data(), pad);
+    products.begin(photographed, 100);
     products.add(operations[i], lights, alone[i]);
     products.flush();
     EXPECT_EQ(together[i], alone[i]) << "depends on its company";

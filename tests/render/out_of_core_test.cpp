@@ -7,7 +7,7 @@
 #include "base/half.h"
 #include "base/parallel.h"
 #include "render/frame_renderer.h"
-#include "render/projected_weights.h"
+#include "render/texel_products.h"
 #include "tests/support/formula_field.h"
 #include "tests/support/test_support.h"
 
@@ -16,53 +16,78 @@ namespace {
 
 namespace fs = std::filesystem;
 
-TEST(ProjectedWeights, GiveTheProductThatTheExpandedBlockGives) {
+TEST(TexelProducts, OfACompressedBlockAreThoseOfTheBlockItStandsFor) {
   std::mt19937 random(4);
   std::normal_distribution<float> normal;
   const StoreGeometry g{16, 16, 0, 0, 1, 1, 37};
-  for (const int rank_pad : {8, 24}) {
+  constexpr int kTexels = kTile * kTile;
+  for (const int rank : {3, 8, 21}) {
     ReflectanceBlock block;
-    block.pad = rank_pad;
-    block.halves.resize(static_cast<std::size_t>(kTile) * kTile * 3 * rank_pad);
+    block.rank = rank, block.pad = (rank + kRankGroup - 1) / kRankGroup * kRankGroup;
+    block.halves.resize(static_cast<std::size_t>(rank) * 3 * kTexels);
     for (auto& half : block.halves) half = halfFromFloat(std::round(100 * normal(random)));
-    block.basis.resize(static_cast<std::size_t>(g.light_count) * rank_pad);
-    for (float& value : block.basis) value = normal(random);
-    // Two shared vectors in shares, a vector of its own, and an entry.
+    block.basis.resize(static_cast<std::size_t>(g.light_count) * block.pad);
+    for (int j = 0; j < g.light_count; ++j) {
+      if (j % 3 == 1) continue;  // dark
+      block.lit.push_back(j);
+      for (int k = 0; k < block.pad; ++k) block.basis[static_cast<std::size_t>(j) * block.pad + k] = normal(random);
+    }
+    // Operations with two of many shared vectors in shares; of these some with a vector of their own, some with an
+    // entry. More vectors than are held at once.
     const std::size_t size = 3 * static_cast<std::size_t>(g.lightPad());
-    std::vector<float> shared[2];
+    constexpr std::uint32_t kShared = 70, kOperations = 100;
+    std::vector<float> shared(kShared * size);
+    for (float& value : shared) value = normal(random);
     LightGather lights;
-    for (auto& vector : shared)
-      for (std::size_t i = 0; i < size; ++i) vector.push_back(normal(random));
-    for (std::size_t i = 0; i < size; ++i) lights.own.push_back(normal(random));
-    lights.vectors = {shared[0].data(), shared[1].data()};
-    LightWeights weights;
-    weights.shared = {1, 0, 0, 0};
-    weights.share = {0.25f, 0.5f, 0, 0};
-    weights.own = 0;
-    weights.entries = 1;
+    for (std::uint32_t v = 0; v < kShared; ++v) lights.vectors.push_back(&shared[v * size]);
     lights.entries.push_back({30, {1, -2, 3}});
-    ShadingOperation operation{};
-    operation.x = 3, operation.y = 7;
-    for (float& tap : operation.tap) tap = 0.25f;
-
-    ProjectedWeights projected(block, g);
-    for (int round = 0; round < 2; ++round) {  // the second time from what is held
-      const Rgb got = reflectanceDot(block.halves.data(), block.pad, operation, projected.of(lights, weights));
+    std::vector<ShadingOperation> operations(kOperations);
+    for (std::uint32_t i = 0; i < kOperations; ++i) {
+      LightWeights weights;
+      weights.shared = {i % kShared, (3 * i + 1) % kShared, 0, 0};
+      weights.share = {0.25f, 0.5f, 0, 0};
+      if (i % 3 == 0) {
+        weights.own = static_cast<std::uint32_t>(lights.own.size());
+        for (std::size_t k = 0; k < size; ++k) lights.own.push_back(normal(random));
+      }
+      weights.entries = i % 2;
+      lights.weights.push_back(weights);
+      ShadingOperation& operation = operations[i];
+      operation.lights = i;
+      operation.x = static_cast<std::uint8_t>(i % kTile), operation.y = static_cast<std::uint8_t>(7 * i / 3 % kTile);
+      for (int t = 0; t < 4; ++t) {
+        const bool beyond = (t % 2 && operation.x == kTile - 1) || (t / 2 && operation.y == kTile - 1);
+        operation.tap[t] = beyond ? 0 : 0.25f;
+      }
+    }
+    std::vector<Rgb> together(kOperations), alone(kOperations);
+    TexelProducts products;
+    products.begin(block, g.light_count);
+    for (std::uint32_t i = 0; i < kOperations; ++i) products.add(operations[i], lights, together[i]);
+    products.flush();
+    for (std::uint32_t i = 0; i < kOperations; ++i) {
+      const ShadingOperation& operation = operations[i];
+      const LightWeights& weights = lights.weights[i];
+      products.begin(block, g.light_count);
+      products.add(operation, lights, alone[i]);
+      products.flush();
+      EXPECT_EQ(together[i], alone[i]) << "depends on its company";
       for (int c = 0; c < 3; ++c) {
         double want = 0, terms = 0;
         for (int j = 0; j < g.light_count; ++j) {
           const std::size_t at = static_cast<std::size_t>(c) * g.lightPad() + j;
-          double weight = 0.25 * shared[1][at] + 0.5 * shared[0][at] + lights.own[at];
-          if (j == 30) weight += lights.entries[0].weight[c];
+          double weight = 0.25 * lights.vectors[weights.shared[0]][at] + 0.5 * lights.vectors[weights.shared[1]][at];
+          if (weights.own != LightWeights::kNone) weight += lights.own[weights.own + at];
+          if (weights.entries && j == 30) weight += lights.entries[0].weight[c];
           for (int t = 0; t < 4; ++t)
-            for (int k = 0; k < rank_pad; ++k) {
-              const std::size_t texel = static_cast<std::size_t>(7 + t / 2) * kTile + 3 + t % 2;
-              const double term = 0.25 * floatFromHalf(block.halves[(texel * 3 + c) * rank_pad + k]) *
-                                  block.basis[static_cast<std::size_t>(j) * rank_pad + k] * weight;
+            for (int k = 0; k < rank && operation.tap[t] > 0; ++k) {
+              const int texel = (operation.y + t / 2) * kTile + operation.x + t % 2;
+              const double term = 0.25 * floatFromHalf(block.halves[(k * 3 + c) * kTexels + texel]) *
+                                  block.basis[static_cast<std::size_t>(j) * block.pad + k] * weight;
               want += term, terms += std::fabs(term);
             }
         }
-        EXPECT_NEAR(got[c], want, terms * std::ldexp(g.light_count + rank_pad / 8 + 16, -24)) << rank_pad;
+        EXPECT_NEAR(together[i][c], want, terms * std::ldexp(g.light_count + rank + 16, -24)) << rank;
       }
     }
   }
