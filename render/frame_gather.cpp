@@ -66,8 +66,11 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   thread_local std::vector<SurfaceHit> hit_memory;  // large, and all of a hit is written
   if (hit_memory.size() < rays.size()) hit_memory.resize(rays.size());
   const std::span<SurfaceHit> hits(hit_memory.data(), rays.size());
-  deformed.intersect(rays, hits);  // M10
+  thread_local RaysMet rays_met;   // likewise
+  deformed.trace(rays, rays_met);  // M10
   lap(kTrace);
+  deformed.blend(rays, rays_met, hits);
+  lap(kHits);
   if (plan.ground) {
     out.ground_rays = plan.ground->shade(rays, pixels, width, hits, out.ground);
     lap(kGround);
