@@ -5,12 +5,14 @@
 #include <immintrin.h>
 
 #include <cstdio>
+#include <memory>
 #include <numeric>
 
 #include "apps/program.h"
 #include "base/numeric.h"
 #include "base/parallel.h"
 #include "bench/timing.h"
+#include "model/frame_kernels.h"
 #include "render/animation.h"
 #include "render/guided_kernels.h"
 #include "render/scene.h"
@@ -219,6 +221,24 @@ class BareViews {
   std::array<std::vector<double>, 10> lanes_;
 };
 
+// Blends the frames of so many hits, whose points' tangents lie in place.
+void bareFrames(std::size_t hits) {
+  parallelFor((hits + kFrameLanes - 1) / kFrameLanes, 64, [](std::size_t begin, std::size_t end) {
+    const auto frames = std::make_unique<BlendedFrames>();
+    const auto fill = [](FrameVector& to, const Vec3& value) {
+      for (int axis = 0; axis < 3; ++axis) std::fill_n(to[axis], kFrameLanes, value[axis]);
+    };
+    frames->count = kFrameLanes;
+    for (int i = 0; i < 3; ++i) {
+      std::fill_n(frames->weight[i], kFrameLanes, 1.0 / 3);
+      fill(frames->rest_u[i], {1, 0, 0}), fill(frames->rest_v[i], {0, 1, 0});
+      fill(frames->u[i], {0.8, 0.6, 0}), fill(frames->v[i], {-0.6, 0.8, 0.1});
+    }
+    fill(frames->reference, {1, 0, 0});
+    for (std::size_t i = begin; i < end; ++i) blendFrames(*frames, 0.99, 1e-8);
+  });
+}
+
 // Blends four vectors of light weights a hit.
 void bareBlend(std::size_t hits, std::size_t lights) {
   parallelFor(hits, 4096, [&](std::size_t begin, std::size_t end) {
@@ -294,7 +314,7 @@ int main(int argc, char** argv) {
       render(frame_at(static_cast<int>(i)), unused);  // warm: blocks decoded
 
     std::map<std::string, bench::Series> stages;
-    bench::Series whole, embree, refit, dot, views, blend, read, occlusion, model_values, stage_sum, limit_sum;
+    bench::Series whole, embree, frames, refit, dot, views, blend, read, occlusion, model_values, stage_sum, limit_sum;
     std::map<std::string, double> before = reporter.figures();
     std::map<std::string, std::uint64_t> counted = reporter.counters();
     double operations = 0, hits = 0, shadow_rays = 0, values = 0;
@@ -338,6 +358,7 @@ int main(int argc, char** argv) {
         const BareViews bare(manifest.views[0].camera, hit_count, k * hit_count, (manifest.views.size() + 1) / 2);
         views.add(bench::milliseconds([&] { bare.run(); }));
         blend.add(bench::milliseconds([&] { bareBlend(hit_count, lights); }));
+        if (model.kind == ModelKind::mesh) frames.add(bench::milliseconds([&] { bareFrames(hit_count); }));
       }
       const std::size_t taps = static_cast<std::size_t>(4 * taken("operations"));
       counted = counters;
@@ -347,7 +368,7 @@ int main(int argc, char** argv) {
       }));
       stage_sum.add(whole.values.back());
       double limits = 0;
-      for (const bench::Series* bare : {&embree, &refit, &views, &dot, &occlusion})
+      for (const bench::Series* bare : {&embree, &frames, &refit, &views, &dot, &occlusion})
         if (!bare->values.empty()) limits += bare->values.back();
       limits +=
           model_values.values.empty() ? (blend.values.empty() ? 0 : blend.values.back()) : model_values.values.back();
@@ -427,6 +448,7 @@ int main(int argc, char** argv) {
         ratio = bench::shownRatio(bench::ratios(series, bare));
       };
       if (name == "trace") against(embree, "bare Embree loop");
+      if (name == "hits") against(frames, "bare blend of frames");
       if (name == "shadows") against(occlusion, "bare occlusion loop");
       if (name == "deform") against(refit, "bare turn and refit");
       if (name == "views") against(views, "bare kernels");

@@ -36,13 +36,14 @@ class Coverage {
   }
   /// Whether 2 x 2 texels from (x, y) on are all 255. They must lie inside.
   bool whole(int x, int y) const {
-    const int in_x = x % kSide, in_y = y % kSide;
+    const unsigned in_x = static_cast<unsigned>(x) % kSide, in_y = static_cast<unsigned>(y) % kSide;
     if (in_x == kSide - 1 || in_y == kSide - 1)
       return (at(x, y) & at(x + 1, y) & at(x, y + 1) & at(x + 1, y + 1)) == 255;
-    const std::uint32_t tile = tiles_[static_cast<std::size_t>(y / kSide) * tiles_x_ + x / kSide];
+    const std::uint32_t tile =
+        tiles_[std::size_t{static_cast<unsigned>(y) / kSide} * tiles_x_ + static_cast<unsigned>(x) / kSide];
     if (tile < kMixed) return tile == 255;
     const Mixed& mixed = mixed_[tile - kMixed];
-    const auto row = [&](int i) { return mixed.full[i / 4] >> (i % 4 * kSide + in_x); };
+    const auto row = [&](unsigned i) { return mixed.full[i / 4] >> (i % 4 * kSide + in_x); };
     return (row(in_y) & row(in_y + 1) & 3) == 3;
   }
   std::size_t bytes() const;

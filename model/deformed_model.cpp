@@ -277,15 +277,37 @@ int DeformedModel::raysAcross(const Camera<ObjectSpace>& camera) const {
 
 void DeformedModel::intersect(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const {
   SRF_CHECK(rays.size() == hits.size());
-  if (model_.kind == ModelKind::mesh) {
-    intersectTriangles(rays, hits);
-  } else {
-    intersectSplats(rays, hits);
+  RaysMet met;
+  for (std::size_t begin = 0; begin < rays.size(); begin += kBatch) {
+    const std::size_t count = std::min(kBatch, rays.size() - begin);
+    trace(rays.subspan(begin, count), met);
+    blend(rays.subspan(begin, count), met, hits.subspan(begin, count));
   }
 }
 
-void DeformedModel::intersectTriangles(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const {
-  TriangleHit met[kBatch];
+void DeformedModel::trace(std::span<const Ray<ObjectSpace>> rays, RaysMet& met) const {
+  if (model_.kind == ModelKind::surfels) {
+    scene_->gatherSplats(rays, kDepthWindow, met.splats);
+    return;
+  }
+  met.triangles.resize(rays.size());
+  for (std::size_t begin = 0; begin < rays.size(); begin += kBatch) {
+    const std::size_t count = std::min(kBatch, rays.size() - begin);
+    scene_->intersect(rays.subspan(begin, count), std::span(met.triangles).subspan(begin, count));
+  }
+}
+
+void DeformedModel::blend(std::span<const Ray<ObjectSpace>> rays, const RaysMet& met,
+                          std::span<SurfaceHit> hits) const {
+  if (model_.kind == ModelKind::mesh) {
+    blendTriangles(rays, met.triangles, hits);
+  } else {
+    blendSplats(rays, met.splats, hits);
+  }
+}
+
+void DeformedModel::blendTriangles(std::span<const Ray<ObjectSpace>> rays, std::span<const TriangleHit> met,
+                                   std::span<SurfaceHit> hits) const {
   thread_local BlendedFrames frames;  // for its memory
   std::size_t of[kFrameLanes];        // hits in it
   std::uint32_t reference[kFrameLanes];
@@ -307,68 +329,62 @@ void DeformedModel::intersectTriangles(std::span<const Ray<ObjectSpace>> rays, s
     }
     frames.count = 0;
   };
-  for (std::size_t begin = 0; begin < rays.size(); begin += kBatch) {
-    const std::size_t count = std::min(kBatch, rays.size() - begin);
-    scene_->intersect(rays.subspan(begin, count), {met, count});
-    for (std::size_t k = 0; k < count; ++k) {
-      SurfaceHit& hit = hits[begin + k];
-      hit.count = 0;
-      if (!met[k].hit()) continue;
-      const Triangle& corners = model_.triangles[met[k].triangle];
-      const double b1 = met[k].b1, b2 = met[k].b2, b0 = std::max(0.0, 1 - b1 - b2);
-      const auto& [a, b, c] = corners;
-      hit.p0 = model_.p0[a] + (b1 * (model_.p0[b] - model_.p0[a]) + b2 * (model_.p0[c] - model_.p0[a]));
-      hit.p_star = p_star_[a] + (b1 * (p_star_[b] - p_star_[a]) + b2 * (p_star_[c] - p_star_[a]));
-      hit.distance = dot(hit.p_star - rays[begin + k].origin, rays[begin + k].direction);
-      const double weights[3] = {b0, b1, b2};
-      hit.count = 3;
-      for (int i = 0; i < 3; ++i) {
-        int place = i;
-        const auto weight = static_cast<float>(weights[i]);
-        for (; place > 0 && hit.weight[place - 1] < weight; --place) {
-          hit.weight[place] = hit.weight[place - 1];
-          hit.point[place] = hit.point[place - 1];
-        }
-        hit.weight[place] = weight;
-        hit.point[place] = corners[i];
+  for (std::size_t k = 0; k < rays.size(); ++k) {
+    SurfaceHit& hit = hits[k];
+    hit.count = 0;
+    if (!met[k].hit()) continue;
+    const Triangle& corners = model_.triangles[met[k].triangle];
+    const double b1 = met[k].b1, b2 = met[k].b2, b0 = std::max(0.0, 1 - b1 - b2);
+    const auto& [a, b, c] = corners;
+    hit.p0 = model_.p0[a] + (b1 * (model_.p0[b] - model_.p0[a]) + b2 * (model_.p0[c] - model_.p0[a]));
+    hit.p_star = p_star_[a] + (b1 * (p_star_[b] - p_star_[a]) + b2 * (p_star_[c] - p_star_[a]));
+    hit.distance = dot(hit.p_star - rays[k].origin, rays[k].direction);
+    const double weights[3] = {b0, b1, b2};
+    hit.count = 3;
+    for (int i = 0; i < 3; ++i) {
+      int place = i;
+      const auto weight = static_cast<float>(weights[i]);
+      for (; place > 0 && hit.weight[place - 1] < weight; --place) {
+        hit.weight[place] = hit.weight[place - 1];
+        hit.point[place] = hit.point[place - 1];
       }
-      const std::size_t lane = frames.count++;
-      of[lane] = begin + k, reference[lane] = a;
-      double handedness = 0;
-      for (int i = 0; i < 3; ++i) {
-        const Mat3& frame = rest_frame_[hit.point[i]].raw();
-        const Tangents<ObjectSpace>& carried = tangents_[hit.point[i]];
-        const Vec3 &u = carried.u.raw(), &v = carried.v.raw();
-        frames.weight[i][lane] = hit.weight[i];
-        for (int axis = 0; axis < 3; ++axis) {
-          frames.rest_u[i][axis][lane] = frame.row[axis].x;
-          frames.rest_v[i][axis][lane] = frame.row[axis].y;
-          frames.u[i][axis][lane] = u[axis];
-          frames.v[i][axis][lane] = v[axis];
-        }
-        handedness += static_cast<double>(hit.weight[i]) * carried.handedness;
-      }
-      for (int axis = 0; axis < 3; ++axis) frames.reference[axis][lane] = rest_frame_[a].raw().row[axis].x;
-      hit.tangents.handedness = handedness < 0 ? -1 : 1;
-      if (frames.count == kFrameLanes) blend();
+      hit.weight[place] = weight;
+      hit.point[place] = corners[i];
     }
+    const std::size_t lane = frames.count++;
+    of[lane] = k, reference[lane] = a;
+    double handedness = 0;
+    for (int i = 0; i < 3; ++i) {
+      const Mat3& frame = rest_frame_[hit.point[i]].raw();
+      const Tangents<ObjectSpace>& carried = tangents_[hit.point[i]];
+      const Vec3 &u = carried.u.raw(), &v = carried.v.raw();
+      frames.weight[i][lane] = hit.weight[i];
+      for (int axis = 0; axis < 3; ++axis) {
+        frames.rest_u[i][axis][lane] = frame.row[axis].x;
+        frames.rest_v[i][axis][lane] = frame.row[axis].y;
+        frames.u[i][axis][lane] = u[axis];
+        frames.v[i][axis][lane] = v[axis];
+      }
+      handedness += static_cast<double>(hit.weight[i]) * carried.handedness;
+    }
+    for (int axis = 0; axis < 3; ++axis) frames.reference[axis][lane] = rest_frame_[a].raw().row[axis].x;
+    hit.tangents.handedness = handedness < 0 ? -1 : 1;
+    if (frames.count == kFrameLanes) blend();
   }
   blend();
 }
 
-void DeformedModel::intersectSplats(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const {
+void DeformedModel::blendSplats(std::span<const Ray<ObjectSpace>> rays, const SplatLists& gathered,
+                                std::span<SurfaceHit> hits) const {
   struct Met {
     SplatHit splat;
     double weight;
   };
-  SplatLists gathered;
   std::vector<Met> met;
   for (std::size_t k = 0; k < rays.size(); ++k) {
-    if (k % kBatch == 0)
-      scene_->gatherSplats(rays.subspan(k, std::min(kBatch, rays.size() - k)), kDepthWindow, gathered);
     SurfaceHit& hit = hits[k];
     hit.count = 0;
-    const std::span<const SplatHit> near = gathered.of(k % kBatch);
+    const std::span<const SplatHit> near = gathered.of(k);
     if (near.empty()) continue;
     const Splat& first = splats_[near.front().splat];
     met.clear();

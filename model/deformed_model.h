@@ -37,6 +37,12 @@ struct DeformedStatistics {
   std::size_t split = 0;  ///< surfels that the deformation bends too much for one ellipse: smaller ones stand for them
 };
 
+/// What rays met of a model, before it is blended.
+struct RaysMet {
+  std::vector<TriangleHit> triangles;  ///< of each ray; kind mesh
+  SplatLists splats;                   ///< kind surfels
+};
+
 class DeformedModel {
  public:
   explicit DeformedModel(const DeformableModel& model);  ///< at rest; the model must outlive it
@@ -50,6 +56,9 @@ class DeformedModel {
   const DeformedStatistics& statistics() const { return statistics_; }
   /// Closest hits of the rays, in packets; misses have count 0. Thread-safe.
   void intersect(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
+  /// Its two halves: the rays through the scene, and the blend of the points that each met.
+  void trace(std::span<const Ray<ObjectSpace>> rays, RaysMet& met) const;
+  void blend(std::span<const Ray<ObjectSpace>> rays, const RaysMet& met, std::span<SurfaceHit> hits) const;
   /// Ray scene of the deformed triangles or splats (for shadow rays).
   const RayScene<ObjectSpace>& rays() const { return *scene_; }
   Box<ObjectSpace> bounds() const;
@@ -60,8 +69,10 @@ class DeformedModel {
  private:
   void carry(const Deformation& psi, const MovedVertices* moved);
   void updateScene();
-  void intersectTriangles(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
-  void intersectSplats(std::span<const Ray<ObjectSpace>> rays, std::span<SurfaceHit> hits) const;
+  void blendTriangles(std::span<const Ray<ObjectSpace>> rays, std::span<const TriangleHit> met,
+                      std::span<SurfaceHit> hits) const;
+  void blendSplats(std::span<const Ray<ObjectSpace>> rays, const SplatLists& gathered,
+                   std::span<SurfaceHit> hits) const;
   /// Fills the frames of a hit from its points, their carried tangents and weights; phases follow those of `reference`.
   void blendFrames(SurfaceHit& hit, const Tangents<ObjectSpace>* const* carried, std::uint32_t reference,
                    const Tangents<ObjectSpace>& reference_carried) const;

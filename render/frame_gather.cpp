@@ -66,8 +66,11 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   thread_local std::vector<SurfaceHit> hit_memory;  // large, and all of a hit is written
   if (hit_memory.size() < rays.size()) hit_memory.resize(rays.size());
   const std::span<SurfaceHit> hits(hit_memory.data(), rays.size());
-  deformed.intersect(rays, hits);  // M10
+  thread_local RaysMet rays_met;   // likewise
+  deformed.trace(rays, rays_met);  // M10
   lap(kTrace);
+  deformed.blend(rays, rays_met, hits);
+  lap(kHits);
   if (plan.ground) {
     out.ground_rays = plan.ground->shade(rays, pixels, width, hits, out.ground);
     lap(kGround);
@@ -83,8 +86,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   for (const LookUp& look_up : look_ups) out.collapsed += look_up.collapsed;
   lap(kLookUp);
 
-  std::vector<ViewQuery> queries;
-  queries.reserve(met.size());
+  thread_local std::vector<ViewQuery> queries;  // likewise
+  queries.clear();
   for (std::size_t m = 0; m < met.size(); ++m) {
     const SurfaceHit& hit = hits[met[m]];
     const LookUp& look_up = look_ups[m];
@@ -96,7 +99,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     query.point_weights = {hit.weight, static_cast<std::size_t>(hit.count)};
   }
   thread_local ViewSelection::Scratch scratch;
-  ViewSelection::Chosen chosen;
+  thread_local ViewSelection::Chosen chosen;
   selection->select(queries, plan.allowed, scratch, chosen);  // M12
   for (std::size_t m = 0; m < met.size(); ++m)
     levels->apply(camera, static_cast<double>(plan.pattern.size()), hits[met[m]], look_ups[m], queries[m].view,

@@ -209,9 +209,13 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       const std::size_t first = batch.size();
       batch.resize(first + count);
       parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i)
-          s.gather(plan, raysOfPiece(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i)),
-                   batch[first + i], layers.wanted() ? &layers : nullptr, nullptr);
+        for (std::size_t i = begin; i < end; ++i) {
+          const auto start = Clock::now();
+          const PixelRays rays = raysOfPiece(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i));
+          PixelBlock& block = batch[first + i];
+          block.seconds[kTrace] += secondsSince(start);
+          s.gather(plan, rays, block, layers.wanted() ? &layers : nullptr, nullptr);
+        }
       });
       std::array<double, kGatherStages.size()> spent{};
       for (std::size_t i = first; i < batch.size(); ++i) {

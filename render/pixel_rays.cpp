@@ -37,6 +37,17 @@ void PixelRays::add(const Camera<ObjectSpace>& camera, const std::optional<ThinL
 namespace {
 
 constexpr int kBlockPixels = kPixelBlock * kPixelBlock;
+// A packet of rays traces the faster the closer they lie: 4 x 4 pixels one after the other.
+constexpr int kPacketSide = 4, kPacketPixels = kPacketSide * kPacketSide;
+static_assert(kPixelBlock % kPacketSide == 0);
+
+struct PixelInBlock {
+  int x, y;
+};
+PixelInBlock pixelInBlock(int i) {
+  const int packet = i / kPacketPixels, within = i % kPacketPixels, across = kPixelBlock / kPacketSide;
+  return {packet % across * kPacketSide + within % kPacketSide, packet / across * kPacketSide + within / kPacketSide};
+}
 
 int blocksAlong(int pixels) {
   return (pixels + kPixelBlock - 1) / kPixelBlock;
@@ -67,7 +78,8 @@ PixelRays raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<Thi
   result.rays.reserve((end - first) * pattern.size());
   result.pixel.reserve((end - first) * pattern.size());
   for (int i = first; i < end; ++i) {
-    const int x = x0 + i % kPixelBlock, y = y0 + i / kPixelBlock;
+    const PixelInBlock at = pixelInBlock(i);
+    const int x = x0 + at.x, y = y0 + at.y;
     if (x < camera.lens.width && y < camera.lens.height && cover.covers(x, y)) result.add(camera, lens, pattern, x, y);
   }
   return result;

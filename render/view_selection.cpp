@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <tuple>
 
 #include "base/numeric.h"
 #include "render/view_kernels.h"
@@ -30,6 +31,18 @@ TexelPlace texelPlace(const StoreGeometry& geometry, const Vec2& pixel) {
   return place;
 }
 
+bool wholeAt(const Coverage& coverage, const TexelPlace& place) {
+  return place.floor_x >= 0 && place.floor_y >= 0 && place.floor_x < coverage.width() - 1 &&
+         place.floor_y < coverage.height() - 1 &&
+         coverage.whole(static_cast<int>(place.floor_x), static_cast<int>(place.floor_y));
+}
+
+/// Those of the next view.
+ViewLanes viewLanes(ViewSelection::Scratch& s) {
+  const auto lane = [&s](std::size_t k) { return s.view_lanes[k].data() + s.lanes; };
+  return {lane(0), lane(1), lane(2), lane(3), lane(4), lane(5), lane(6), lane(7), lane(8), lane(9), lane(10)};
+}
+
 double borderOf(const Intrinsics& lens, const Vec2& pixel) {
   return std::min({pixel.x, pixel.y, lens.width - pixel.x, lens.height - pixel.y});
 }
@@ -45,12 +58,8 @@ double ViewSelection::covered(std::uint32_t view, const Vec2& pixel, double bord
   whole = false;
   if (!(border > 0)) return 0;
   const double inside = border >= kBorderPixels ? 1 : smoothstep(0, kBorderPixels, border);
-  const Coverage& coverage = *source.coverage;
-  if (place.floor_x >= 0 && place.floor_y >= 0 && place.floor_x < coverage.width() - 1 &&
-      place.floor_y < coverage.height() - 1) {
-    whole = coverage.whole(static_cast<int>(place.floor_x), static_cast<int>(place.floor_y));
-    if (whole) return inside;
-  }
+  whole = wholeAt(*source.coverage, place);
+  if (whole) return inside;
   if (source.matte) return inside;  // where it covers p a little, its coverage is the answer
   return inside * bilinearFetch(source, pixel).covered;
 }
@@ -77,32 +86,34 @@ void ViewSelection::lookAt(std::span<const ViewQuery> queries, std::size_t begin
   // Distributed by view: the kernel takes many hits of one view.
   s.begin.assign(views + 1, 0);
   for (std::size_t i = 0; i < pairs; ++i) ++s.begin[s.view_of[begin + i] + 1];
-  std::size_t most = 0;
+  std::size_t most = 0, lanes = s.lanes;  // each view's begin at a whole vector
   for (std::size_t v = 0; v < views; ++v) {
     most = std::max<std::size_t>(most, s.begin[v + 1]);
+    lanes += paddedLanes(s.begin[v + 1]);
     s.begin[v + 1] += s.begin[v];
   }
   s.order.resize(pairs);
   for (std::size_t i = 0; i < pairs; ++i)
     s.order[s.begin[s.view_of[begin + i]]++] = static_cast<std::uint32_t>(begin + i);
-  const std::size_t lanes = paddedLanes(most);
-  for (auto& lane : s.hit_lanes)
-    if (lane.size() < lanes) lane.resize(lanes);
+  double* hit[std::tuple_size_v<HitPlace>];
+  for (std::size_t k = 0; k < s.hit_lanes.size(); ++k) {
+    if (s.hit_lanes[k].size() < paddedLanes(most)) s.hit_lanes[k].resize(paddedLanes(most));
+    hit[k] = s.hit_lanes[k].data();
+  }
+  const HitLanes from{hit[0], hit[1], hit[2], hit[3], hit[4], hit[5], hit[6], hit[7], hit[8], hit[9]};
   for (auto& lane : s.view_lanes)
     if (lane.size() < lanes) lane.resize(lanes);
-  auto& hit = s.hit_lanes;
-  const HitLanes from{hit[0].data(), hit[1].data(), hit[2].data(), hit[3].data(), hit[4].data(),
-                      hit[5].data(), hit[6].data(), hit[7].data(), hit[8].data(), hit[9].data()};
-  auto& lane = s.view_lanes;
-  const ViewLanes to{lane[0].data(), lane[1].data(), lane[2].data(), lane[3].data(), lane[4].data(), lane[5].data(),
-                     lane[6].data(), lane[7].data(), lane[8].data(), lane[9].data(), lane[10].data()};
   for (std::size_t slot = 0, at = 0; slot < views; ++slot) {
     const std::size_t count = s.begin[slot] - at;
     if (count == 0) continue;
     const std::uint32_t view = s.views[slot];
     const SourceView& source = views_[view];
-    for (std::size_t k = 0; k < hit.size(); ++k)
-      for (std::size_t i = 0; i < count; ++i) hit[k][i] = s.hits[k][s.hit_of[s.order[at + i]]];
+    const Coverage& coverage = *source.coverage;
+    for (std::size_t i = 0; i < count; ++i) {
+      const HitPlace& place = s.hits[s.hit_of[s.order[at + i]]];
+      for (std::size_t k = 0; k < place.size(); ++k) hit[k][i] = place[k];
+    }
+    const ViewLanes to = viewLanes(s);
     placeViews(source.camera,
                {static_cast<double>(source.geometry.crop_x), static_cast<double>(source.geometry.crop_y)},
                kLeastForeshortening, from, count, to);
@@ -110,34 +121,34 @@ void ViewSelection::lookAt(std::span<const ViewQuery> queries, std::size_t begin
     for (std::size_t i = 0; i < count; ++i) {
       const std::uint32_t pair = s.order[at + i], h = s.hit_of[pair];
       Tried& tried = s.tried[pair];
-      tried.view = view, tried.whole = false, tried.penalty = kPenaltyCap;
-      tried.angle = to.angle[i], tried.foreshortening = to.foreshortening[i];
-      tried.pixel.x = to.pixel_x[i], tried.pixel.y = to.pixel_y[i];
-      tried.place.floor_x = to.floor_x[i], tried.place.floor_y = to.floor_y[i];
-      tried.place.part_x = to.part_x[i], tried.place.part_y = to.part_y[i];
-      double border = to.border[i];
+      tried = {kPenaltyCap, view, static_cast<std::uint32_t>(s.lanes + i), false};
       if (distorted) {
         const auto projection = source.camera.project(queries[h].p);
         if (!projection) continue;
-        tried.pixel = projection->pixel;
-        tried.place = texelPlace(source.geometry, tried.pixel);
-        border = borderOf(source.camera.lens, tried.pixel);
+        const Vec2& pixel = projection->pixel;
+        const TexelPlace place = texelPlace(source.geometry, pixel);
+        to.pixel_x[i] = pixel.x, to.pixel_y[i] = pixel.y;
+        to.floor_x[i] = place.floor_x, to.floor_y[i] = place.floor_y;
+        to.part_x[i] = place.part_x, to.part_y[i] = place.part_y;
+        to.border[i] = borderOf(source.camera.lens, pixel);
       } else if (to.usable[i] == 0) {
         continue;
       }
-      double seen = s.weight[h];
+      double usable = s.weight[h];
       if (!(s.by_all[h * words + view / 64] >> view % 64 & 1)) {
-        seen = 0;
+        usable = 0;
         const ViewQuery& query = queries[h];
         for (std::size_t k = 0; k < query.points.size(); ++k)
-          if (visible_.get(query.points[k], view)) seen += query.point_weights[k];
-        seen = std::min(seen, 1.0);
+          if (visible_.get(query.points[k], view)) usable += query.point_weights[k];
+        usable = std::min(usable, 1.0);
       }
-      const double usable = seen * covered(view, tried.pixel, border, tried.place, tried.whole);
-      const double penalty = viewPenalty(tried.angle, to.resolution[i], usable);
+      const TexelPlace place{to.floor_x[i], to.floor_y[i], to.part_x[i], to.part_y[i]};
+      tried.whole = to.border[i] >= kBorderPixels && wholeAt(coverage, place);
+      if (!tried.whole) usable *= covered(view, {to.pixel_x[i], to.pixel_y[i]}, to.border[i], place, tried.whole);
+      const double penalty = viewPenalty(to.angle[i], to.resolution[i], usable);
       if (penalty < kPenaltyCap) tried.penalty = penalty;
     }
-    at += count;
+    at += count, s.lanes += paddedLanes(count);
   }
 }
 
@@ -154,7 +165,7 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
   s.by_all.resize(hits * words);
   s.weight.resize(hits);
   s.seen_lanes.resize(2 * words * stride);
-  for (auto& lane : s.hits) lane.resize(stride);
+  s.hits.resize(hits);
   for (auto& lane : s.near) lane.resize(stride);
   std::uint64_t *some = &s.seen[hits * words], *may = some + words;
   for (std::size_t v = 0; v < views_.size(); ++v) may[v / 64] |= std::uint64_t{allowed[v] != 0} << (v % 64);
@@ -177,8 +188,7 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
     for (const float of_point : query.point_weights) weight += of_point;
     s.weight[h] = std::min(weight, 1.0);
     const Vec3 &p = query.p.raw(), &v = query.view.raw(), &n = query.normal.raw();
-    const double lanes[] = {p.x, p.y, p.z, v.x, v.y, v.z, n.x, n.y, n.z, query.eye_distance};
-    for (std::size_t k = 0; k < s.hits.size(); ++k) s.hits[k][h] = lanes[k];
+    s.hits[h] = {p.x, p.y, p.z, v.x, v.y, v.z, n.x, n.y, n.z, query.eye_distance};
     const double inverse_eye = query.eye_distance > 0 ? 1 / query.eye_distance : 0;
     const double near[] = {p.x - origin.x, p.y - origin.y, p.z - origin.z, v.x, v.y, v.z, inverse_eye};
     for (std::size_t k = 0; k < s.near.size(); ++k) s.near[k][h] = static_cast<float>(near[k]);
@@ -208,6 +218,7 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
   s.hit_of.clear();
   s.view_of.clear();
   s.tried.clear();
+  s.lanes = 0;
   s.first.clear();
   s.second.assign(hits, {0, 0});
   const auto pair = [&s](std::size_t h, std::uint32_t slot) {
@@ -255,6 +266,8 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
   }
   lookAt(queries, looked_at, s);
 
+  s.lanes = 0;
+  const ViewLanes all = viewLanes(s);
   chosen.views.reserve(hits * k_);
   chosen.first.reserve(hits + 1);
   chosen.result.reserve(hits);
@@ -264,30 +277,31 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
     for (const auto& [begin, end] : {s.first[h], s.second[h]})
       for (std::uint32_t i = begin; i < end; ++i) {
         if (!(s.tried[i].penalty < kPenaltyCap)) continue;
-        order.push_back({{s.tried[i].penalty, s.tried[i].view}, i});
-        for (std::size_t j = order.size() - 1; j > 0 && order[j].first < order[j - 1].first; --j)
-          std::swap(order[j], order[j - 1]);
+        order.push_back({s.tried[i].penalty, s.tried[i].view, i});
+        for (std::size_t j = order.size() - 1; j > 0 && order[j] < order[j - 1]; --j) std::swap(order[j], order[j - 1]);
       }
     // lumigraphWeights of what is in order already.
     const std::size_t first = chosen.views.size(), nearest = std::min<std::size_t>(order.size(), k_);
-    const double t = order.size() > nearest ? std::max(order[nearest].first.penalty, kLeastPenalty) : kPenaltyCap;
+    const double t = order.size() > nearest ? std::max(order[nearest].penalty, kLeastPenalty) : kPenaltyCap;
     double sum = 0;
     const auto take = [&](std::uint32_t i, double weight) {
       const Tried& tried = s.tried[i];
-      weight *= tried.foreshortening;
+      const std::uint32_t lane = tried.lane;
+      weight *= all.foreshortening[lane];
       sum += weight;
       ChosenView& view = chosen.views.emplace_back();
-      view.view = tried.view, view.weight = weight, view.angle = tried.angle, view.penalty = tried.penalty;
-      fetch(tried.view, tried.pixel, tried.place, tried.whole, view.fetch);
+      view.view = tried.view, view.weight = weight, view.angle = all.angle[lane], view.penalty = tried.penalty;
+      fetch(tried.view, {all.pixel_x[lane], all.pixel_y[lane]},
+            {all.floor_x[lane], all.floor_y[lane], all.part_x[lane], all.part_y[lane]}, tried.whole, view.fetch);
     };
     for (std::size_t i = 0; i < nearest; ++i) {
-      const double weight = 1 / std::max(order[i].first.penalty, kLeastPenalty) - 1 / t;
+      const double weight = 1 / std::max(order[i].penalty, kLeastPenalty) - 1 / t;
       if (!(weight > 0)) break;
-      take(order[i].second, weight);
+      take(order[i].pair, weight);
     }
     if (chosen.views.size() == first)
-      for (const auto& [view, i] : order)
-        if (view.penalty <= t) take(i, 1);
+      for (const Ranked& ranked : order)
+        if (ranked.penalty <= t) take(ranked.pair, 1);
     for (std::size_t i = first; i < chosen.views.size(); ++i) chosen.views[i].weight /= sum;
     Result result = Result::seen;
     if (chosen.views.size() == first) {

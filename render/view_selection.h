@@ -43,30 +43,38 @@ class ViewSelection {
   };
   /// A view that was looked at for a hit.
   struct Tried {
-    std::uint32_t view;
-    bool whole;  ///< all four texels of the fetch are covered
-    double penalty, angle, foreshortening;
-    Vec2 pixel;
-    TexelPlace place;
+    double penalty;
+    std::uint32_t view, lane;  ///< how it lies to the hit: in view_lanes
+    bool whole;                ///< all four texels of the fetch are covered
   };
+  /// One that may be used, and its pair. By penalty, ties by view.
+  struct Ranked {
+    double penalty;
+    std::uint32_t view, pair;
+    friend bool operator<(const Ranked& a, const Ranked& b) {
+      return a.penalty != b.penalty ? a.penalty < b.penalty : a.view < b.view;
+    }
+  };
+  using HitPlace = std::array<double, 10>;  ///< HitLanes of one hit
   /// Memory that select() uses; one for each thread.
   struct Scratch {
-    std::vector<std::uint64_t> seen, by_all;        ///< of each hit: views that see one of its points, or all of them
-    std::vector<double> weight;                     ///< of each hit: of its points together, at most 1
-    std::array<std::vector<double>, 10> hits;       ///< HitLanes of all hits
-    std::array<std::vector<float>, 7> near;         ///< NearLanes of all hits
-    std::vector<std::uint32_t> seen_lanes;          ///< the same views, by word and hit
-    std::vector<std::uint32_t> views, slot;         ///< that see some hit; where each view is in `views`
-    std::array<std::vector<float>, 3> centers;      ///< of those views
-    std::vector<float> bounds, rest;                ///< nearestViews
-    std::vector<std::int32_t> nearest;              ///< likewise
-    std::vector<std::uint32_t> hit_of, view_of;     ///< of each pair to be looked at
-    std::vector<std::uint32_t> begin, order;        ///< pairs by view
-    std::array<std::vector<double>, 10> hit_lanes;  ///< of the pairs of one view
-    std::array<std::vector<double>, 11> view_lanes;
+    std::vector<std::uint64_t> seen, by_all;  ///< of each hit: views that see one of its points, or all of them
+    std::vector<double> weight;               ///< of each hit: of its points together, at most 1
+    std::vector<HitPlace> hits;
+    std::array<std::vector<float>, 7> near;                   ///< NearLanes of all hits
+    std::vector<std::uint32_t> seen_lanes;                    ///< the same views, by word and hit
+    std::vector<std::uint32_t> views, slot;                   ///< that see some hit; where each view is in `views`
+    std::array<std::vector<float>, 3> centers;                ///< of those views
+    std::vector<float> bounds, rest;                          ///< nearestViews
+    std::vector<std::int32_t> nearest;                        ///< likewise
+    std::vector<std::uint32_t> hit_of, view_of;               ///< of each pair to be looked at
+    std::vector<std::uint32_t> begin, order;                  ///< pairs by view
+    std::array<std::vector<double>, 10> hit_lanes;            ///< of the pairs of one view
+    std::array<std::vector<double>, 11> view_lanes;           ///< of all pairs, by view
+    std::size_t lanes = 0;                                    ///< of view_lanes in use
     std::vector<Tried> tried;                                 ///< of each pair
     std::vector<std::array<std::uint32_t, 2>> first, second;  ///< pairs of each hit: begin and end
-    std::vector<std::pair<Penalised, std::uint32_t>> ranked;  ///< of one hit: views and their pairs
+    std::vector<Ranked> ranked;                               ///< of one hit
     std::vector<std::pair<double, std::uint32_t>> standing_in;
   };
   /// The views of each hit.
