@@ -178,6 +178,7 @@ void runPipeline(const PipelineOptions& options, Reporter& reporter) {
   animation.output = (out / "frames" / "frame.####.exr").string();
   if (!options.frames.empty()) animation.frames = parseFrames(options.frames, "--frames");
   animation.resume = true;
+  animation.support = true;
   animation.memory_bytes = options.memory_bytes;
   animation.command = options.command;
   animation.finished = FrameLines(reporter);

@@ -38,6 +38,20 @@ std::string lightsText(const SrfManifest& field) {
   return text;
 }
 
+/// How much of the pictures the capture supports, and why the rest is not.
+std::string support(const PipelineReport& report) {
+  std::vector<std::pair<int, FrameSupport>> told;
+  FrameSupport all;
+  for (const RenderedFrame& frame : report.frames)
+    if (frame.support) told.emplace_back(frame.frame, *frame.support), all.add(*frame.support);
+  const std::string sentence = supportOfFrames(told);
+  if (sentence.empty()) return "";
+  std::string text = sentence + ".";
+  if (told.size() < report.frames.size())
+    text += format(" Told of %zu frames: the others were kept from a run that did not ask.", told.size());
+  return row("support", text) + row("over these frames", all.text());
+}
+
 std::string summary(const PipelineReport& report) {
   const std::string& units = report.field.units;
   std::string out =
@@ -59,7 +73,7 @@ std::string summary(const PipelineReport& report) {
   if (rendered < report.frames.size())
     frames += format(", %zu of them kept from an earlier run", report.frames.size() - rendered);
   if (rendered > 0) frames += format(", %.2f s a rendered frame", seconds / static_cast<double>(rendered));
-  out += row("frames", frames);
+  out += row("frames", frames) + support(report);
   if (!report.video.empty()) out += row("video", report.video.filename().string());
   return out + "</table>\n";
 }
@@ -192,7 +206,8 @@ std::string counters(const PipelineReport& report) {
            (meaning == meanings().end() ? "" : meaning->second) + "</td></tr>\n";
   };
   for (const auto& [name, count] : report.counters) line(name, std::to_string(count));
-  for (const auto& [name, value] : report.figures) line(name, format("%.6g", value));
+  for (const auto& [name, value] : report.figures)
+    if (!name.starts_with("support.")) line(name, format("%.6g", value));  // told in words above
   return out + "</table>\n<p class=\"note\">Summed over all frames that the last run rendered.</p>\n";
 }
 

@@ -51,17 +51,21 @@ Attributes commonAttributes(const Scene& scene, const SrfManifest& manifest, con
   return attributes;
 }
 
-bool finished(const fs::path& file, const Attributes& attributes) {
-  if (!fs::exists(file)) return false;
+constexpr const char* kSupportAttribute = "captureSupport";
+
+/// The header of a frame that the same input and settings have finished.
+std::optional<Attributes> finished(const fs::path& file, const Attributes& attributes) {
+  if (!fs::exists(file)) return std::nullopt;
   try {
-    const Attributes found = readExrAttributes(file);
-    return std::all_of(attributes.begin(), attributes.end(), [&](const auto& entry) {
+    Attributes found = readExrAttributes(file);
+    const bool same = std::all_of(attributes.begin(), attributes.end(), [&](const auto& entry) {
       const auto it = found.find(entry.first);
       return it != found.end() && it->second == entry.second;
     });
-  } catch (const Error&) {
-    return false;  // damaged: rendered again
+    if (same) return found;
+  } catch (const Error&) {  // damaged: rendered again
   }
+  return std::nullopt;
 }
 
 std::size_t writeFrame(const fs::path& file, const Frame& frame, const Attributes& attributes) {
@@ -223,15 +227,15 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
     attributes["frameNumber"] = std::to_string(number);
     const std::vector<double> moments = momentsOf(scene.effects, number);
     if (vertex_motion) attributes["verticesHash"] = hexHash(moving.verticesHash(moments));
-    if (options.resume && finished(result.file, attributes)) {
+    const auto kept = options.resume ? finished(result.file, attributes) : std::nullopt;
+    if (kept) {
       result.kept = true;
+      if (const auto told = kept->find(kSupportAttribute); options.support && told != kept->end())
+        result.support = FrameSupport::fromNumbers(told->second);
     } else {
       if (!renderer) renderer.emplace(srf, manifest, model, settings, reporter);
       const Frame frame = moving.render(moments, *renderer);
-      if ((result.support = frame.support)) {
-        support.add(*frame.support);
-        reporter.figure("support.frame." + std::to_string(number), frame.support->share(frame.support->supported));
-      }
+      if ((result.support = frame.support)) attributes[kSupportAttribute] = frame.support->numbers();
       attributes["command"] = options.command;
       attributes["framesPerSecond"] = std::to_string(scene.fps);
       if (const std::size_t clamped = writeFrame(result.file, frame, attributes)) {
@@ -239,6 +243,10 @@ std::vector<RenderedFrame> renderAnimation(const Scene& scene, const AnimationOp
         reporter.warn(result.file.string() + ": " + std::to_string(clamped) +
                       " values are beyond the range of half floats (65504) and were clamped; lower the lights");
       }
+    }
+    if (result.support) {
+      support.add(*result.support);
+      reporter.figure("support.frame." + std::to_string(number), result.support->share(result.support->supported));
     }
     result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     rendered.push_back(result);

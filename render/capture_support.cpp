@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <sstream>
 
 #include "base/color.h"
 #include "base/numeric.h"
@@ -54,6 +55,39 @@ std::string FrameSupport::text() const {
       "a light %.0f %%; seen by no view %.0f %%; stretched beyond 2 %.0f %%",
       100 * share(supported), 100 * share(view_far), 100 * share(light_far), 100 * share(occluded),
       100 * share(stretched));
+  return line;
+}
+
+std::string FrameSupport::numbers() const {
+  char line[160];
+  std::snprintf(line, sizeof line, "%llu %.9g %.9g %.9g %.9g %.9g", static_cast<unsigned long long>(hits), supported,
+                view_far, light_far, occluded, stretched);
+  return line;
+}
+
+std::optional<FrameSupport> FrameSupport::fromNumbers(const std::string& text) {
+  FrameSupport s;
+  std::istringstream in(text);
+  in >> s.hits >> s.supported >> s.view_far >> s.light_far >> s.occluded >> s.stretched;
+  return in ? std::optional(s) : std::nullopt;
+}
+
+std::string supportOfFrames(std::span<const std::pair<int, FrameSupport>> frames) {
+  const std::pair<int, FrameSupport>*least = nullptr, *most = nullptr;
+  const auto supported = [](const auto* frame) { return frame->second.share(frame->second.supported); };
+  for (const auto& frame : frames) {
+    if (frame.second.hits == 0) continue;
+    if (!least || supported(&frame) < supported(least)) least = &frame;
+    if (!most || supported(&frame) > supported(most)) most = &frame;
+  }
+  if (!least) return "";
+  char line[160];
+  const double low = std::round(100 * supported(least)), high = std::round(100 * supported(most));
+  if (low == high)
+    std::snprintf(line, sizeof line, "%.0f %% of the picture is supported by the capture, in every frame", low);
+  else
+    std::snprintf(line, sizeof line, "%.0f to %.0f %% of the picture is supported by the capture; least in frame %d",
+                  low, high, least->first);
   return line;
 }
 

@@ -3,9 +3,11 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <set>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "render/light_weights.h"
@@ -34,7 +36,14 @@ struct FrameSupport {
   double share(double sum) const { return hits > 0 ? sum / static_cast<double>(hits) : 0; }
   /// "93 % of the picture is supported by the capture; ...".
   std::string text() const;
+  /// The sums, for a frame's header, and back; none where the text is not such.
+  std::string numbers() const;
+  static std::optional<FrameSupport> fromNumbers(const std::string& text);
 };
+
+/// One sentence on several frames: "41 to 97 % of the picture is supported by the capture (least: frame 24)". Empty
+/// where no frame tells.
+std::string supportOfFrames(std::span<const std::pair<int, FrameSupport>> frames);
 
 class CaptureSupport {
  public:

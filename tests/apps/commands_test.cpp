@@ -537,6 +537,17 @@ TEST(Pipeline, MakesFieldFramesSheetAndReportAndThenOnlyWhatIsLeft) {
   for (const char* part : {"data:image/png;base64,", "Worst:", "IoU", "<svg"})
     EXPECT_NE(page.find(part), std::string::npos) << part;
   EXPECT_EQ(page.find("src=\"http"), std::string::npos);
+  const auto support = [&] {
+    const std::string text = slurp(folder / "out/report.html");
+    std::smatch found;
+    EXPECT_TRUE(std::regex_search(text, found, std::regex("<tr><td>support</td><td>(.*)</td></tr>"))) << text;
+    return found[1].str();
+  };
+  const std::string supported = support();
+  EXPECT_TRUE(std::regex_match(
+      supported,
+      std::regex(R"(\d+ (to \d+ )?% of the picture is supported by the capture(, in every frame|; least in frame \d+)\.)")))
+      << supported;
 
   const auto field_time = fs::last_write_time(folder / "out/field.srf/manifest.json");
   const auto frame_time = fs::last_write_time(folder / "out/frames/frame.0000.exr");
@@ -546,6 +557,7 @@ TEST(Pipeline, MakesFieldFramesSheetAndReportAndThenOnlyWhatIsLeft) {
   EXPECT_EQ(fs::last_write_time(folder / "out/field.srf/manifest.json"), field_time);
   EXPECT_EQ(fs::last_write_time(folder / "out/frames/frame.0000.exr"), frame_time);
   EXPECT_TRUE(fs::exists(folder / "out/frames/frame.0001.exr"));
+  EXPECT_EQ(support(), supported) << "frames that were kept tell it too";
 
   Words surfels = words;
   surfels.insert(surfels.end(), {"--kind", "surfels"});
