@@ -546,7 +546,8 @@ TEST(Pipeline, MakesFieldFramesSheetAndReportAndThenOnlyWhatIsLeft) {
   const std::string supported = support();
   EXPECT_TRUE(std::regex_match(
       supported,
-      std::regex(R"(\d+ (to \d+ )?% of the picture is supported by the capture(, in every frame|; least in frame \d+)\.)")))
+      std::regex(
+          R"(\d+ (to \d+ )?% of the picture is supported by the capture(, in every frame|; least in frame \d+)\.)")))
       << supported;
 
   const auto field_time = fs::last_write_time(folder / "out/field.srf/manifest.json");
