@@ -440,18 +440,18 @@ int main(int argc, char** argv) {
           field.bytes / static_cast<double>(limit), field.block >> 10);
     };
     Streamed streamed;
-    // What is left is for blocks and operations: the renderer takes off what is resident and an eighth.
-    const auto left = [&] { return limit - std::min<std::size_t>(limit, dataBytes() + (std::size_t{40} << 20)); };
+    // For blocks, operations and what else becomes resident before the first frame; the renderer keeps a quarter back.
+    constexpr std::size_t kWorking = std::size_t{110} << 20;
     {
       Bench one(lossless.manifest, size, 0, reporter);
-      one.settings.memory_bytes = (residentBytes() + left()) * 8 / 7;
+      one.settings.memory_bytes = (residentBytes() + kWorking) * 4 / 3;
       describe("Lossless blocks", lossless);
       static constexpr std::size_t kSorted[] = {1, 3, 10, 30, 100}, kImmediate[] = {3, 10, 30, 100};
       streamed = stream(one, in("lossless.srf"), lossless.manifest, lossless.block, repeats, kSorted, kImmediate);
     }
     {
       Bench one(halves.manifest, size, 0, reporter);
-      one.settings.memory_bytes = (residentBytes() + left()) * 8 / 7;
+      one.settings.memory_bytes = (residentBytes() + kWorking) * 4 / 3;
       describe("Blocks as they are", halves);
       static constexpr std::size_t kThree[] = {3};
       stream(one, in("halves.srf"), halves.manifest, halves.block, repeats, kThree, kThree);
