@@ -23,7 +23,8 @@
 namespace srf {
 namespace {
 
-/// A walk over the stored rectangle of a view at two steps a texel, as a picture's hits go, or the same sorted by block.
+/// A walk over the stored rectangle of a view at two steps a texel, as a picture's hits go, or the same sorted by
+/// block.
 std::vector<ShadingOperation> fetches(const ReflectanceStore& store, bool sorted) {
   const StoreGeometry& geometry = store.geometry();
   std::vector<ShadingOperation> operations;
@@ -125,20 +126,23 @@ void compareCaches(const std::filesystem::path& srf_folder, const SrfManifest& m
   const auto by_hit = fetches(store, false), by_block = fetches(store, true);
   BlockCache cache(stores, kAll);
   const auto count = static_cast<double>(by_hit.size());
-  compare("fetch and product, hit by hit, all in memory", count, [&] { fromBlocks(cache, by_hit); },
-          [&] { fromImages(by_hit); }, repeats);
-  compare("the same, sorted by block", count, [&] { fromBlocksOnceEach(cache, by_block); },
-          [&] { fromImages(by_block); }, repeats);
-  compare("the same, decoded anew each time", count,
-          [&] {
-            BlockCache cold(stores, kAll);
-            fromBlocksOnceEach(cold, by_block);
-          },
-          [&] {
-            images->invalidate_all(true);
-            fromImages(by_block);
-          },
-          repeats);
+  compare(
+      "fetch and product, hit by hit, all in memory", count, [&] { fromBlocks(cache, by_hit); },
+      [&] { fromImages(by_hit); }, repeats);
+  compare(
+      "the same, sorted by block", count, [&] { fromBlocksOnceEach(cache, by_block); }, [&] { fromImages(by_block); },
+      repeats);
+  compare(
+      "the same, decoded anew each time", count,
+      [&] {
+        BlockCache cold(stores, kAll);
+        fromBlocksOnceEach(cold, by_block);
+      },
+      [&] {
+        images->invalidate_all(true);
+        fromImages(by_block);
+      },
+      repeats);
   OIIO::ImageCache::destroy(images, /*teardown=*/true);
 }
 
@@ -203,16 +207,17 @@ void compareSearches(const DeformableModel& model, const SrfManifest& manifest,
     std::vector<Weighted> weights;
     const std::string what = "4 nearest of " + std::to_string(views.size()) + " views, with their fetches";
     constexpr std::size_t kAtOnce = 256;
-    compare(what.c_str(), static_cast<double>(queries.size()),
-            [&] {
-              for (std::size_t i = 0; i < queries.size(); i += kAtOnce)
-                selection.select(std::span(queries).subspan(i, std::min(kAtOnce, queries.size() - i)), allowed, scratch,
-                                 chosen);
-            },
-            [&] {
-              for (const ViewQuery& query : queries) searchAll(views, visible, query, 4, candidates, weights);
-            },
-            repeats);
+    compare(
+        what.c_str(), static_cast<double>(queries.size()),
+        [&] {
+          for (std::size_t i = 0; i < queries.size(); i += kAtOnce)
+            selection.select(std::span(queries).subspan(i, std::min(kAtOnce, queries.size() - i)), allowed, scratch,
+                             chosen);
+        },
+        [&] {
+          for (const ViewQuery& query : queries) searchAll(views, visible, query, 4, candidates, weights);
+        },
+        repeats);
   }
 }
 
@@ -221,7 +226,8 @@ void compareSearches(const DeformableModel& model, const SrfManifest& manifest,
 
 int main(int argc, char** argv) {
   using namespace srf;
-  Program program("alternatives-benchmark", "what others would use in place of parts of the renderer, in turn with ours");
+  Program program("alternatives-benchmark",
+                  "what others would use in place of parts of the renderer, in turn with ours");
   std::string srf_folder, work;
   int repeats = 11;
   program.app().add_option("SRF", srf_folder, "the field")->required();

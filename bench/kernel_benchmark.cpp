@@ -17,7 +17,7 @@
 namespace srf {
 namespace {
 
-constexpr int kLights = 112;      // 100 acquired lights, padded
+constexpr int kLights = 112;       // 100 acquired lights, padded
 constexpr std::size_t kSky = 256;  // lights of an environment
 
 std::vector<float> randomFloats(std::size_t count, float least = 0, float most = 1) {
@@ -123,8 +123,7 @@ BENCHMARK(blendOfFourVectors);
 void modelValues(benchmark::State& state) {
   const Guided guided(kSky);
   for (auto _ : state)
-    benchmark::DoNotOptimize(
-        modelSums(guided.model, &guided.model_view, 1, guided.lanes(), guided.amounts(), kSky));
+    benchmark::DoNotOptimize(modelSums(guided.model, &guided.model_view, 1, guided.lanes(), guided.amounts(), kSky));
   countItems(state, kSky);
 }
 void modelValuesInDouble(benchmark::State& state) {
@@ -172,8 +171,8 @@ struct Captured {
     const Guided around(100);
     for (std::uint32_t i = 0; i < 100; ++i) {
       CaptureLight light;
-      light.direction = *normalize(
-          Vector<AcquisitionSpace>(around.direction[0][i], around.direction[1][i], around.direction[2][i]));
+      light.direction =
+          *normalize(Vector<AcquisitionSpace>(around.direction[0][i], around.direction[1][i], around.direction[2][i]));
       lights.push_back(light);
       ids.push_back({i});
     }
