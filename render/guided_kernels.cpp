@@ -231,7 +231,7 @@ void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& l
   const F f;
   const I d;
   const hn::Rebind<std::int8_t, F> bytes;
-  const hn::CappedTag<float, 2> two;  // one, where nothing is wide
+  const hn::FixedTag<float, 2> two;
   const auto stride = hn::Set(d, static_cast<std::int32_t>(shadow.stride));
   V sum[3][kParts];
   for (auto& channel : sum)
@@ -257,8 +257,7 @@ void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& l
         // branches.
         for (std::size_t lane = 0; lane < kLanes; ++lane) {
           float* const to = energy_about + std::size_t{4} * about[at + lane] + 2 * (lane % 2);
-          for (std::size_t k = 0; k < 2; k += hn::MaxLanes(two))
-            hn::Store(hn::Add(hn::Load(two, to + k), hn::Load(two, energies + 2 * lane + k)), two, to + k);
+          hn::Store(hn::Add(hn::Load(two, to), hn::Load(two, energies + 2 * lane)), two, to);
         }
         if (hn::AllTrue(f, hn::Eq(shown, hn::Zero(f)))) continue;
         const V counts = shadow.trusted ? hn::Mul(shown, hn::GatherIndex(f, shadow.trusted, near)) : shown;

@@ -9,4 +9,8 @@
 #if defined(__AVX2__) && defined(__FMA__) && defined(__F16C__)
 #define HWY_BASELINE_TARGETS HWY_AVX2
 #define HWY_DISABLED_TARGETS HWY_AVX3_DL
+#elif defined(__x86_64__)
+// Without wide code: vectors of four, the narrowest that kernels are written for.
+#define HWY_BASELINE_TARGETS HWY_SSSE3
+#define HWY_DISABLED_TARGETS (HWY_SSE4 | HWY_AVX2 | HWY_AVX3 | HWY_AVX3_DL)
 #endif

@@ -26,7 +26,7 @@ hn::Vec<hn::FixedTag<float, 4>> fold(D, hn::Vec<D>* parts) {
     for (std::size_t i = 0; i < left / 2; ++i) parts[i] = hn::Add(parts[i], parts[i + left / 2]);
   const hn::FixedTag<float, 4> four;
   if constexpr (hn::MaxLanes(D()) == 16) {
-    const hn::FixedTag<float, 8> eight;
+    const hn::Half<D> eight;
     const auto half = hn::Add(hn::LowerHalf(eight, parts[0]), hn::UpperHalf(eight, parts[0]));
     return hn::Add(hn::LowerHalf(four, half), hn::UpperHalf(four, half));
   } else if constexpr (hn::MaxLanes(D()) == 8) {
