@@ -1,5 +1,7 @@
 #include "render/texel_kernels.h"
 
+#include <type_traits>
+
 #include "base/image_io.h"
 #include "field/reflectance_block.h"
 #include "render/highway_targets.h"
@@ -36,6 +38,22 @@ hn::Vec<hn::FixedTag<float, 4>> fold(D, hn::Vec<D>* parts) {
   }
 }
 
+/// Calls run with `count` <= kProductVectors as a constant: a kernel keeps its sums in registers.
+template <class Run>
+HWY_INLINE void withCount(int count, const Run& run) {
+  static_assert(kProductVectors == 4);
+  switch (count) {
+    case 1:
+      return run(std::integral_constant<int, 1>());
+    case 2:
+      return run(std::integral_constant<int, 2>());
+    case 3:
+      return run(std::integral_constant<int, 3>());
+    default:
+      return run(std::integral_constant<int, 4>());
+  }
+}
+
 template <int kVectors>
 void dotsOf(const std::uint16_t* texel, int pad, const float* const* vectors, float* const* products) {
   const F f;
@@ -66,16 +84,7 @@ void dotsOf(const std::uint16_t* texel, int pad, const float* const* vectors, fl
 }
 
 void dots(const std::uint16_t* texel, int pad, const float* const* vectors, int count, float* const* products) {
-  switch (count) {
-    case 1:
-      return dotsOf<1>(texel, pad, vectors, products);
-    case 2:
-      return dotsOf<2>(texel, pad, vectors, products);
-    case 3:
-      return dotsOf<3>(texel, pad, vectors, products);
-    default:
-      return dotsOf<4>(texel, pad, vectors, products);
-  }
+  withCount(count, [&](auto number) { dotsOf<number.value>(texel, pad, vectors, products); });
 }
 
 void lights(const std::uint16_t* texel, int pad, const std::uint32_t* light, int count, float* const* products) {
@@ -111,16 +120,7 @@ void projectOf(const float* basis, int rank_pad, std::span<const std::uint32_t> 
 
 void project(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
              int light_pad, int count, float* const* projected) {
-  switch (count) {
-    case 1:
-      return projectOf<1>(basis, rank_pad, lit, vectors, light_pad, projected);
-    case 2:
-      return projectOf<2>(basis, rank_pad, lit, vectors, light_pad, projected);
-    case 3:
-      return projectOf<3>(basis, rank_pad, lit, vectors, light_pad, projected);
-    default:
-      return projectOf<4>(basis, rank_pad, lit, vectors, light_pad, projected);
-  }
+  withCount(count, [&](auto number) { projectOf<number.value>(basis, rank_pad, lit, vectors, light_pad, projected); });
 }
 
 template <int kVectors>
@@ -144,16 +144,7 @@ void rowOf(const std::uint16_t* row, int rank, const float* const* projected, fl
 }
 
 void row(const std::uint16_t* of_texels, int rank, const float* const* projected, int count, float* const* products) {
-  switch (count) {
-    case 1:
-      return rowOf<1>(of_texels, rank, projected, products);
-    case 2:
-      return rowOf<2>(of_texels, rank, projected, products);
-    case 3:
-      return rowOf<3>(of_texels, rank, projected, products);
-    default:
-      return rowOf<4>(of_texels, rank, projected, products);
-  }
+  withCount(count, [&](auto number) { rowOf<number.value>(of_texels, rank, projected, products); });
 }
 
 // The sum of the two halves of 8 lanes.

@@ -52,15 +52,12 @@ double borderOf(const Intrinsics& lens, const Vec2& pixel) {
 ViewSelection::ViewSelection(std::vector<SourceView> views, const VisibilityBits& visible, int k)
     : views_(std::move(views)), visible_(visible), k_(k) {}
 
-double ViewSelection::covered(std::uint32_t view, const Vec2& pixel, double border, const TexelPlace& place,
-                              bool& whole) const {
+double ViewSelection::covered(std::uint32_t view, const Vec2& pixel, double border, bool whole) const {
   const SourceView& source = views_[view];
-  whole = false;
   if (!(border > 0)) return 0;
   const double inside = border >= kBorderPixels ? 1 : smoothstep(0, kBorderPixels, border);
-  whole = wholeAt(*source.coverage, place);
-  if (whole) return inside;
-  if (source.matte) return inside;  // where it covers p a little, its coverage is the answer
+  // Where a matte covers p a little, its coverage is the answer.
+  if (whole || source.matte) return inside;
   return inside * bilinearFetch(source, pixel).covered;
 }
 
@@ -143,8 +140,10 @@ void ViewSelection::lookAt(std::span<const ViewQuery> queries, std::size_t begin
         usable = std::min(usable, 1.0);
       }
       const TexelPlace place{to.floor_x[i], to.floor_y[i], to.part_x[i], to.part_y[i]};
-      tried.whole = to.border[i] >= kBorderPixels && wholeAt(coverage, place);
-      if (!tried.whole) usable *= covered(view, {to.pixel_x[i], to.pixel_y[i]}, to.border[i], place, tried.whole);
+      const double border = to.border[i];
+      tried.whole = border > 0 && wholeAt(coverage, place);
+      if (!(tried.whole && border >= kBorderPixels))
+        usable *= covered(view, {to.pixel_x[i], to.pixel_y[i]}, border, tried.whole);
       const double penalty = viewPenalty(to.angle[i], to.resolution[i], usable);
       if (penalty < kPenaltyCap) tried.penalty = penalty;
     }
@@ -326,11 +325,12 @@ bool ViewSelection::standIn(const ViewQuery& query, std::span<const std::uint8_t
   std::sort(s.standing_in.begin(), s.standing_in.end());
   for (const auto& [angle, view] : s.standing_in) {
     const auto projection = views_[view].camera.project(query.p);
-    bool whole = false;
     if (!projection) continue;
     const Vec2& pixel = projection->pixel;
     const TexelPlace place = texelPlace(views_[view].geometry, pixel);
-    if (!(covered(view, pixel, borderOf(views_[view].camera.lens, pixel), place, whole) > 0)) continue;
+    const double border = borderOf(views_[view].camera.lens, pixel);
+    const bool whole = border > 0 && wholeAt(*views_[view].coverage, place);
+    if (!(covered(view, pixel, border, whole) > 0)) continue;
     chosen = {view, 1, angle, std::numeric_limits<double>::infinity(), {}};
     fetch(view, pixel, place, whole, chosen.fetch);
     return true;

@@ -96,7 +96,7 @@ class ViewSelection {
   /// Looks at the pairs from `begin` on, view by view.
   void lookAt(std::span<const ViewQuery> queries, std::size_t begin, Scratch& s) const;
   /// How much of the pixel's surroundings the view's picture holds, 0 to 1.
-  double covered(std::uint32_t view, const Vec2& pixel, double border, const TexelPlace& place, bool& whole) const;
+  double covered(std::uint32_t view, const Vec2& pixel, double border, bool whole) const;
   void fetch(std::uint32_t view, const Vec2& pixel, const TexelPlace& place, bool whole, Fetch& fetch) const;
   /// The nearest picture by angle that covers p, where no view sees it.
   bool standIn(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& s, ChosenView& chosen) const;
