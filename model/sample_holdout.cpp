@@ -17,6 +17,7 @@ constexpr float kLeastForeshortening = 0.05f;
 constexpr float kSurelyAverted = -0.1f;  // n.l of a light whose picture is no outline's
 constexpr float kMuchBetter = 0.7f;      // of the squared error
 constexpr double kBesideError = 0.25;    // of plain's squared error, half way to the light that was left out
+constexpr float kBesideShare = 0.75f;    // of the weights that a captured light has close to it
 constexpr int kChannels = 4;             // of a view in a row: red, green, blue and none
 
 }  // namespace
@@ -142,7 +143,9 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       }
       if (disagree > 0) visible = static_cast<float>((1 - disagree) * visible + lit_there);
       if (!(lights.cosine[i] > 0)) visible = 0;
-      const float relit = usable > 0 ? visible * static_cast<float>(smoothstep(0, kFade, usable)) / usable : 0.f;
+      const auto relight = [](float share) {
+        return share > 0 ? static_cast<float>(smoothstep(0, kFade, share)) / share : 0.f;
+      };
 
       plain_row_.assign(width_, 0.f), lit_row_.assign(width_, 0.f), indirect_row_.assign(width_, 0.f);
       const auto add = [&](std::vector<float>& row, const std::vector<float>& from, std::size_t light, float w) {
@@ -155,15 +158,25 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
         add(plain_row_, value_, w.source, weight);
         add(indirect_row_, lights.lit[w.source] > 0 ? residual_ : value_, w.source, weight);
         const float ratio = std::min(kMostRatio, lights.cosine[i] / std::max(lights.cosine[w.source], kCosine));
-        add(lit_row_, residual_, w.source, weight * relit * usable_[w.source] * ratio);
+        add(lit_row_, residual_, w.source, weight * usable_[w.source] * ratio);
       }
-      add(lit_row_, model_, i, visible);
-      add(indirect_row_, model_, i, visible);
 
       const float* const value = &value_[static_cast<std::size_t>(i) * width_];
       const float* const residual = &residual_[static_cast<std::size_t>(i) * width_];
       const float* const weight = &weight_[static_cast<std::size_t>(i) * width_];
       const float* const at_view = &model_[static_cast<std::size_t>(i) * width_];
+      // Close to a light whose photograph is not usable the residuals of others stand for it.
+      float beside = 0;
+      if (lights.lit[i] > 0 && usable_[i] < 1) {
+        const float own = kBesideShare * usable_[i], others = 1 - kBesideShare, relit = relight(own + others * usable);
+        for (int x = 0; x < half_; ++x)
+          beside += weight[x] * srf::square(residual[x] - relit * (others * lit_row_[x] + own * residual[x]));
+      }
+      const float relit = visible * relight(usable);
+      for (float& x : lit_row_) x *= relit;
+      add(lit_row_, model_, i, visible);
+      add(indirect_row_, model_, i, visible);
+
       struct Sum {
         float plain = 0, lit = 0, indirect = 0;
       };
@@ -195,6 +208,7 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       HoldoutError::Cases& cases = error.by_light.back().second;
       note(cases.light, by_light);
       cases.beside.plain = kBesideError * by_light.plain;
+      cases.beside.in_light.lit = beside;
       cases.beside.in_shadow.lit = (1 - lights.lit[i]) * square;
       if (!(visible > 0.5f) && (lights.cosine[i] < kSurelyAverted || lights.cosine[i] > 0)) {
         HoldoutError::Count& count = lights.cosine[i] > 0 ? error.hidden : error.averted;

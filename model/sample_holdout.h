@@ -30,7 +30,8 @@ struct HoldoutError {
     Case light;  ///< the light is left out, the view is there
     Case both;   ///< light and view
     Case view;   ///< the view: the light is a captured one; all in in_light.lit
-    /// Close to the captured light, whose lit bit then decides: what is lost where it says dark and photographs do not.
+    /// Close to the captured light, whose lit bit then decides: what is lost where it says dark and photographs do not,
+    /// or where a shadow's outline is near, so that the residuals of lights farther away stand for its own.
     Case beside;
     Cases& operator+=(const Cases& other) {
       light += other.light, both += other.both, view += other.view, beside += other.beside;

@@ -95,8 +95,9 @@ TEST(ConcaveHull, GuidanceIsNoWorseThanPlainWhereTheHullFillsTheObject) {
           };
           const double plain = psnr(nullptr), gain = psnr(&*fit) - plain;
           std::printf("plain %.2f dB, guided %+.2f\n", plain, gain);
-          EXPECT_GT(gain, -1) << "eye " << from.x << " " << from.y << " " << from.z << ", light " << to_light.x << " "
-                              << to_light.y << " " << to_light.z;
+          // From a camera's own place plain interpolation is nearly right.
+          EXPECT_GT(gain, captured_view ? -0.5 : -1) << "eye " << from.x << " " << from.y << " " << from.z << ", light "
+                                                     << to_light.x << " " << to_light.y << " " << to_light.z;
           sum += gain, ++cases;
         }
   EXPECT_GE(sum / cases, 0);
