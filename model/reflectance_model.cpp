@@ -19,14 +19,28 @@ Real fifth(Real x) {
 
 }  // namespace
 
+ModelSight modelSight(const std::array<float, 3>& n, const std::array<float, 3>& t, const std::array<float, 3>& b,
+                      const std::array<float, 3>& view) {
+  const auto product = [&](const std::array<float, 3>& a) { return a[0] * view[0] + a[1] * view[1] + a[2] * view[2]; };
+  ModelSight sight{view, product(n), product(t), product(b)};
+  if (sight.nv >= kLeastCosine) return sight;
+  // All of it is raised, or h would not be of length 1, and the lobe of any height.
+  const double flat = std::hypot(double{sight.tv}, double{sight.bv});
+  const double length = std::sqrt(1 - square(double{kLeastCosine}));
+  const double tv = flat > 1e-6 ? sight.tv * (length / flat) : length;  // straight from behind: any azimuth
+  const double bv = flat > 1e-6 ? sight.bv * (length / flat) : 0;
+  sight.nv = kLeastCosine, sight.tv = static_cast<float>(tv), sight.bv = static_cast<float>(bv);
+  for (int k = 0; k < 3; ++k) sight.v[k] = static_cast<float>(kLeastCosine * n[k] + tv * t[k] + bv * b[k]);
+  return sight;
+}
+
 void modelTerms(const PointReflectance& point, const std::array<float, 3>& view, const LightDirections& lights,
                 const std::array<float*, kModelTerms>& term) {
   const auto [nx, ny, nz] = point.normal;
   const auto [tx, ty, tz] = point.tangent;
   const float bx = ny * tz - nz * ty, by = nz * tx - nx * tz, bz = nx * ty - ny * tx;
-  const auto [vx, vy, vz] = view;
-  const float nv = std::max(nx * vx + ny * vy + nz * vz, kLeastCosine);
-  const float tv = tx * vx + ty * vy + tz * vz, bv = bx * vx + by * vy + bz * vz;
+  const ModelSight sight = modelSight(point.normal, point.tangent, {bx, by, bz}, view);
+  const float nv = sight.nv, tv = sight.tv, bv = sight.bv;
   const float ax = point.alpha_x, ay = point.alpha_y, ax2 = ax * ax, ay2 = ay * ay;
   const float inverse_ax2 = 1 / ax2, inverse_ay2 = 1 / ay2;
   // G1(v) / (n.v), with the 2 of each G1 and the 1/4 taken together: D G1(l) G1(v) n.l / (4 n.l n.v)
@@ -44,10 +58,11 @@ void modelTerms(const PointReflectance& point, const std::array<float, 3>& view,
     const float cosine = nx * lx + ny * ly + nz * lz;
     const float nl = std::max(cosine, 0.f);
     const float tl = tx * lx + ty * ly + tz * lz, bl = bx * lx + by * ly + bz * lz;
-    // h = l + v of length sqrt(2 + 2 l.v): squares are enough for D, and v.h is half its length.
-    const float half2 = std::max(2 + 2 * (lx * vx + ly * vy + lz * vz), 1e-6f);  // |h|^2
-    const float nh = nl + nv, th = tl + tv, bh = bl + bv;
-    const float slope = (th * th * inverse_ax2 + bh * bh * inverse_ay2 + nh * nh) / half2;
+    // h = l + v, from its parts: 2 + 2 l.v has no digits left where both graze from opposite sides. Squares are enough
+    // for D, and v.h is half its length.
+    const float nh = nl + nv, th = tl + tv, bh = bl + bv, nh2 = nh * nh;
+    const float half2 = std::max(th * th + bh * bh + nh2, 1e-6f);
+    const float slope = (th * th * inverse_ax2 + bh * bh * inverse_ay2 + nh2) / half2;
     const float masking_l = nl / (nl + std::sqrt(ax2 * tl * tl + ay2 * bl * bl + nl * nl) + 1e-12f);
     const float value = lobe * masking_l / (slope * slope);
     const float vh = 0.5f * std::sqrt(half2);
@@ -62,10 +77,15 @@ std::array<double, kModelTerms> modelTermsReference(const PointReflectance& poin
                                                     const Direction<AcquisitionSpace>& light,
                                                     const Direction<AcquisitionSpace>& view) {
   const auto vec = [](const std::array<float, 3>& a) { return Vec3{a[0], a[1], a[2]}; };
-  const Vec3 n = vec(point.normal), t = vec(point.tangent), b = cross(n, t), l = light.raw(), v = view.raw();
-  const double nl = dot(n, l), nv = std::max<double>(dot(n, v), kLeastCosine);
+  const Vec3 n = vec(point.normal), t = vec(point.tangent), b = cross(n, t), l = light.raw();
+  Vec3 v = view.raw();
+  if (dot(n, v) < kLeastCosine) {
+    const auto flat = normalize(Vector<AcquisitionSpace>(v - dot(n, v) * n));
+    const double sine = std::sqrt(1 - square(double{kLeastCosine}));
+    v = double{kLeastCosine} * n + sine * (flat ? flat->raw() : t);
+  }
+  const double nl = dot(n, l), nv = dot(n, v);
   if (!(nl > 0)) return {};
-  // The half vector is that of the view as it is; at a view below the horizon n.v alone is raised to it.
   const double half = std::max(length(l + v), 1e-3);
   const double nh = (nl + nv) / half, th = (dot(t, l) + dot(t, v)) / half, bh = (dot(b, l) + dot(b, v)) / half;
   const double ax = point.alpha_x, ay = point.alpha_y;

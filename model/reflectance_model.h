@@ -32,9 +32,17 @@ struct LightDirections {
   int count;  ///< the arrays hold a multiple of 8; what lies beyond is finite and of no matter
 };
 
+/// A view as the model takes it: one below the horizon is the one at it of the same azimuth.
+struct ModelSight {
+  std::array<float, 3> v;
+  float nv, tv, bv;  ///< its products with n, t and b = n x t
+};
+ModelSight modelSight(const std::array<float, 3>& n, const std::array<float, 3>& t, const std::array<float, 3>& b,
+                      const std::array<float, 3>& view);
+
 /// The four functions of (l, v) that the coefficients multiply, for each light: term[k][i], each of at least `count`
-/// rounded up to 8 floats. 0 where n.l <= 0. A view below the horizon counts as one at it. Always finite for alpha >=
-/// 0.005. Relative error against the double twin: 2e-5 of the largest value of that term.
+/// rounded up to 8 floats. 0 where n.l <= 0; v as modelSight has it. Always finite for alpha >= 0.005. Relative error
+/// against the double twin: 2e-5 of the largest value of that term.
 void modelTerms(const PointReflectance& point, const std::array<float, 3>& view, const LightDirections& lights,
                 const std::array<float*, kModelTerms>& term);
 

@@ -102,13 +102,11 @@ HWY_INLINE void values(const ModelOfPoint& m, const ModelView* views, std::size_
   }
 }
 
-/// Calls run with the two choices of values() that fit the point. A view below the horizon counts as one at it: there
-/// |h| is not made of n.h, t.h and b.h.
+/// Calls run with the two choices of values() that fit the point.
 template <class Run>
-HWY_INLINE void withKind(const ModelOfPoint& m, const ModelView* views, std::size_t view_count, const Run& run) {
+HWY_INLINE void withKind(const ModelOfPoint& m, const Run& run) {
   constexpr float kSharpest = 0.08f;  // below, differences of |h|^2 and (n.h)^2 lose too many digits
-  bool round = m.ax2 == m.ay2 && m.ax2 > kSharpest * kSharpest && m.ax2 <= 1;
-  for (std::size_t i = 0; i < view_count; ++i) round &= views[i].above;
+  const bool round = m.ax2 == m.ay2 && m.ax2 > kSharpest * kSharpest && m.ax2 <= 1;
   const bool transmits = std::max({m.transmitted[0], m.transmitted[1], m.transmitted[2]}) > 0;
   const std::true_type yes;
   const std::false_type no;
@@ -124,7 +122,7 @@ void sums(const ModelOfPoint& m, const ModelView* views, std::size_t view_count,
   V sum[3][kParts];
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
-  withKind(m, views, view_count, [&](auto round, auto transmits) {
+  withKind(m, [&](auto round, auto transmits) {
     for (std::size_t i = 0; i < count; i += kVectorLanes)
       for (std::size_t p = 0; p < kParts; ++p) {
         const std::size_t at = i + p * kLanes;
@@ -154,7 +152,7 @@ void blend(const std::array<const float*, 4>& vector, const std::array<float, 4>
 void answers(const ModelOfPoint& m, const ModelView& view, const DirectionLanes& lights,
              const std::array<const float*, 3>& irradiance, std::size_t count, float* answer) {
   const F f;
-  withKind(m, &view, 1, [&](auto round, auto transmits) {
+  withKind(m, [&](auto round, auto transmits) {
     for (std::size_t i = 0; i < count; i += kLanes) {
       const V x = hn::LoadU(f, lights.x + i), y = hn::LoadU(f, lights.y + i), z = hn::LoadU(f, lights.z + i);
       const V cosine = dot3(m.n, x, y, z);
@@ -237,7 +235,7 @@ void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& l
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
   facing = 0;
-  withKind(m, &view, 1, [&](auto round, auto transmits) {
+  withKind(m, [&](auto round, auto transmits) {
     for (std::size_t i = 0; i < count; i += kVectorLanes)
       for (std::size_t p = 0; p < kParts; ++p) {
         const std::size_t at = i + p * kLanes;
@@ -447,11 +445,8 @@ ModelOfPoint modelOfPoint(const PointReflectance& point) {
   return m;
 }
 ModelView addView(ModelOfPoint& m, const PointReflectance& point, const std::array<float, 3>& view, float share) {
-  constexpr float kLeastCosine = 1e-3f;  // as modelTerms has it
   constexpr float kInversePi = 0.318309886183790672f;
-  const auto dot = [&](const std::array<float, 3>& a) { return a[0] * view[0] + a[1] * view[1] + a[2] * view[2]; };
-  const float cosine = dot(m.n);
-  ModelView to{view, std::max(cosine, kLeastCosine), dot(m.t), dot(m.b), 0, cosine >= kLeastCosine};
+  ModelView to{modelSight(m.n, m.t, m.b, view), 0};
   to.share = share * m.lobe / (to.nv + std::sqrt(m.ax2 * to.tv * to.tv + m.ay2 * to.bv * to.bv + to.nv * to.nv));
   const float grazing = 1 - to.nv, squared = grazing * grazing;
   const float lambert = kInversePi * share, transmitted = lambert * (1 - squared * squared * grazing);

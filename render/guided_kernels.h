@@ -27,11 +27,8 @@ struct ModelOfPoint {
   std::array<float, 3> lambert, transmitted;  ///< kd and kt, with what depends on the views alone
   float lobe;                                 ///< of all views
 };
-struct ModelView {
-  std::array<float, 3> v;
-  float nv, tv, bv;
+struct ModelView : ModelSight {
   float share;  ///< with what else depends on the view alone
-  bool above;   ///< the horizon
 };
 /// A point whose normal and tangent lie in acquisition space, without views.
 ModelOfPoint modelOfPoint(const PointReflectance& point);
