@@ -395,7 +395,7 @@ int main(int argc, char** argv) {
   using namespace srf;
   Program program("out-of-core-benchmark", "renders a field larger than memory, sorted and hit by hit");
   std::string work, plot;
-  int views = 36, size = 256, repeats = 3, pca_repeats = 11;
+  int views = 42, size = 256, repeats = 3, pca_repeats = 11;
   double share = 10;
   program.app().add_option("FOLDER", work, "where the fields are kept; on the disk that is measured")->required();
   program.app().add_option("--plot", plot, "curve of time against cache size (.svg)");

@@ -48,7 +48,15 @@ std::optional<CompressedBlock> compressBlock(const StoreGeometry& geometry, std:
 /// False where the bytes are no such block.
 bool unpackCompressed(const StoreGeometry& geometry, std::span<const std::byte> stored, ReflectanceBlock& block);
 
-/// Lossless: differences of halves to the texel above, low and high bytes apart (doc/field_format.md).
+/// Lossless: differences of halves to the texel above (first row: to the left), each row of texels under one light in
+/// as many bits as they need (doc/field_format.md).
+void packBlock(const StoreGeometry& geometry, const std::uint16_t* block, std::vector<std::byte>& out);
+/// False where the bytes are no such block; whatever they hold, nothing beyond them is read.
+bool unpackBlock(const StoreGeometry& geometry, std::span<const std::byte> stored, std::uint16_t* block);
+/// The same bit by bit: the oracle.
+bool unpackBlockPlain(const StoreGeometry& geometry, std::span<const std::byte> stored, std::uint16_t* block);
+
+/// Lossless, for zstd: the same differences, low and high bytes apart.
 void shuffleBlock(const StoreGeometry& geometry, const std::uint16_t* block, std::byte* out);
 void unshuffleBlock(const StoreGeometry& geometry, const std::byte* in, std::uint16_t* block);
 

@@ -27,9 +27,11 @@ namespace {
 static_assert(std::endian::native == std::endian::little, "files are little-endian and read as they are");
 
 constexpr char kMagic[8] = {'S', 'R', 'F', 'B', 'L', 'O', 'C', 'K'};
-constexpr std::uint32_t kVersion = 2;
-constexpr int kZstdLevel = 1;     // level 3 saves nothing here and writes at two thirds of the speed
-constexpr int kZstdPcaLevel = 3;  // of few bytes
+constexpr std::uint32_t kVersion = 3;  // the header is that of version 2, which has no packed blocks
+constexpr int kZstdLevel = 1;          // level 3 saves nothing here and writes at two thirds of the speed
+constexpr int kZstdPcaLevel = 3;       // of few bytes
+// Packed blocks are read several times faster than those of zstd, which must save so much to be worth it.
+constexpr double kZstdShare = 0.75;
 constexpr std::uint32_t kBlackBackground = 1;
 
 constexpr std::size_t kDirectUnit = 4096;  // offsets, sizes and addresses of direct reading
@@ -52,7 +54,7 @@ struct Header {
 static_assert(sizeof(Header) == 144);
 constexpr std::size_t kHeaderHash1 = offsetof(Header, compression);
 
-enum class Encoding : std::uint32_t { absent = 0, raw = 1, zstd = 2, pca = 3 };
+enum class Encoding : std::uint32_t { absent = 0, raw = 1, zstd = 2, pca = 3, packed = 4 };
 struct IndexEntry {
   std::uint64_t offset;
   std::uint32_t bytes;
@@ -75,7 +77,7 @@ std::uint64_t contentOf(const StoreGeometry& g, std::uint64_t coverage_hash, con
 struct Zstd {
   ZSTD_CCtx* pack = nullptr;
   ZSTD_DCtx* unpack = nullptr;
-  std::vector<std::byte> stored, plain;
+  std::vector<std::byte> stored, plain, packed;
   ~Zstd() {
     ZSTD_freeCCtx(pack);
     ZSTD_freeDCtx(unpack);
@@ -229,11 +231,16 @@ void ReflectanceStoreWriter::State::write(const TilePlace& at, std::span<const s
   if (encoding == Encoding::raw && coding.compression != Compression::none) {
     z.plain.resize(g.blockBytes());
     shuffleBlock(g, block.data(), z.plain.data());
-    const std::size_t packed = compress(z, z.plain.data(), g.blockBytes());
-    if (packed < g.blockBytes()) {
+    packBlock(g, block.data(), z.packed);
+    const std::size_t stored = compress(z, z.plain.data(), g.blockBytes());
+    if (static_cast<double>(stored) < kZstdShare * static_cast<double>(std::min(z.packed.size(), g.blockBytes()))) {
       data = z.stored.data();
-      bytes = packed;
+      bytes = stored;
       encoding = Encoding::zstd;
+    } else if (z.packed.size() < g.blockBytes()) {
+      data = z.packed.data();
+      bytes = z.packed.size();
+      encoding = Encoding::packed;
     }
   }
   if (encoding != Encoding::pca && at.level == 0) error = differences(block, block);
@@ -426,7 +433,7 @@ ReflectanceStore::ReflectanceStore(const std::filesystem::path& file, bool direc
   if (h.index_hash != srf::contentHash(s.index.data(), index_bytes))
     throw s.damaged("has an index that does not fit its checksum");
   for (const IndexEntry& e : s.index) {
-    const bool packed = e.encoding == Encoding::zstd || e.encoding == Encoding::pca;
+    const bool packed = e.encoding == Encoding::zstd || e.encoding == Encoding::pca || e.encoding == Encoding::packed;
     const bool whole =
         e.encoding == Encoding::absent ||
         (s.inside(e.offset, e.bytes) && (packed || (e.encoding == Encoding::raw && e.bytes == g.blockBytes())));
@@ -539,6 +546,10 @@ void ReflectanceStore::decode(std::uint32_t tile, std::span<const std::byte> sto
   out.halves.resize(g.blockHalves());
   if (e.encoding == Encoding::raw) {
     std::memcpy(out.halves.data(), stored.data(), stored.size());
+    return;
+  }
+  if (e.encoding == Encoding::packed) {
+    if (!unpackBlock(g, stored, out.halves.data())) throw complain("that cannot be unpacked");
     return;
   }
   Zstd& z = zstd();

@@ -53,6 +53,20 @@ bool expectRefused(const fs::path& file, const std::string& part) {
   }
 }
 
+/// Halves with the noise of a camera.
+std::vector<std::uint16_t> noisyBlock(const StoreGeometry& g, int tile) {
+  std::mt19937 random(tile + 1);
+  std::vector<std::uint16_t> block(g.blockHalves());
+  for (std::uint16_t& half : block) half = static_cast<std::uint16_t>(0x3000 + (random() & 255));
+  return block;
+}
+/// Halves of few values, as 8-bit photographs give them: hard to pack, easy for zstd.
+std::vector<std::uint16_t> fewValuesBlock(const StoreGeometry& g, int tile) {
+  auto block = randomBlock(g, tile, false);
+  for (std::uint16_t& half : block) half = half ? halfFromFloat(static_cast<float>(half % 4)) : 0;
+  return block;
+}
+
 class ReflectanceStoreRoundTrip : public testing::TestWithParam<std::tuple<bool, bool, int>> {};
 
 TEST_P(ReflectanceStoreRoundTrip, KeepsEveryBit) {
@@ -172,6 +186,38 @@ TEST(ReflectanceStore, RejectsImpossibleNumbersBehindARightChecksum) {
   patched(32, 4096);  // more tiles than the index has
 }
 
+// Widths that do not account for a tile's bytes, with every checksum made right again.
+TEST(ReflectanceStore, RejectsATileThatCannotBeUnpacked) {
+  const test::TemporaryFolder folder;
+  const fs::path file = folder / "v.blk";
+  const StoreGeometry g{.image_width = 16, .image_height = 16, .tiles_x = 1, .tiles_y = 1, .light_count = 16};
+  ReflectanceStoreWriter writer(file, g, Image8(16, 16, 1, 255));
+  writer.writeTile(0, 0, noisyBlock(g, 0));
+  writer.commit();
+  auto bytes = readBinaryFile(file);
+  struct {
+    std::uint64_t offset;
+    std::uint32_t size, encoding;
+    std::uint64_t hash;
+  } entry;
+  const std::size_t index = bytes.size() - sizeof entry;
+  std::memcpy(&entry, &bytes[index], sizeof entry);
+  ASSERT_EQ(entry.encoding, 4u);
+  bytes[entry.offset] ^= std::byte{1};
+  entry.hash = contentHash(&bytes[entry.offset], entry.size, 0);
+  std::memcpy(&bytes[index], &entry, sizeof entry);
+  std::uint64_t coverage_hash = 0, hash = contentHash(&bytes[index], sizeof entry);
+  std::memcpy(&coverage_hash, &bytes[64], sizeof coverage_hash);
+  std::memcpy(&bytes[80], &hash, sizeof hash);  // of the index
+  const std::int32_t shape[] = {16, 16, 0, 0, 1, 1, 16, 1};
+  hash = contentHash(&entry.hash, sizeof entry.hash, contentHash(shape, sizeof shape, coverage_hash));
+  std::memcpy(&bytes[88], &hash, sizeof hash);  // of the content
+  hash = contentHash(bytes.data(), 136);
+  std::memcpy(&bytes[136], &hash, sizeof hash);
+  overwrite(file, 0, bytes.data(), bytes.size());
+  expectRefused(file, "tile (0, 0) of level 0 that cannot be unpacked");
+}
+
 TEST(ReflectanceStore, RejectsANewerVersion) {
   const test::TemporaryFolder folder;
   const fs::path file = folder / "v.blk";
@@ -179,7 +225,7 @@ TEST(ReflectanceStore, RejectsANewerVersion) {
   auto bytes = readBinaryFile(file);
   bytes[8] = std::byte{7};
   overwrite(file, 0, bytes.data(), bytes.size());
-  expectRefused(file, "has version 7, this program reads up to 2");
+  expectRefused(file, "has version 7, this program reads up to 3");
 }
 
 TEST(ReflectanceStore, RejectsExchangedTiles) {
@@ -236,26 +282,53 @@ TEST(Coverage, IsTheImageInLessMemory) {
   EXPECT_LT(Coverage(Image8(512, 512, 1, 255)).bytes(), 5000u);
 }
 
-// A file as the first version of this program wrote it: a shorter header, one level.
-TEST(ReflectanceStore, ReadsVersionOne) {
+std::vector<std::uint32_t> encodings(const fs::path& file, const StoreGeometry& g) {
+  const auto bytes = readBinaryFile(file);
+  std::vector<std::uint32_t> all(g.allTiles());
+  for (std::size_t t = 0; t < all.size(); ++t)
+    std::memcpy(&all[t], &bytes[bytes.size() - 24 * (all.size() - t) + 12], sizeof all[t]);
+  return all;
+}
+
+TEST(ReflectanceStore, ChoosesTheLosslessCodingThatSuitsTheBlock) {
   const test::TemporaryFolder folder;
-  const StoreGeometry g = smallGeometry();
-  const std::uint64_t hash = writeSmallStore(folder / "v.blk", g);
-  auto bytes = readBinaryFile(folder / "v.blk");
-  const std::uint32_t version = 1, none = 0;
-  std::memcpy(&bytes[8], &version, sizeof version);
-  std::memcpy(&bytes[44], &none, sizeof none);
-  const std::uint64_t header = contentHash(bytes.data(), 96);
-  std::memcpy(&bytes[96], &header, sizeof header);
-  overwrite(folder / "v.blk", 0, bytes.data(), bytes.size());
+  const StoreGeometry g{.image_width = 48, .image_height = 16, .tiles_x = 3, .tiles_y = 1, .light_count = 16};
+  const std::vector<std::uint16_t> blocks[] = {noisyBlock(g, 0), fewValuesBlock(g, 1), [&] {
+                                                 std::mt19937 random(3);
+                                                 std::vector<std::uint16_t> any(g.blockHalves());
+                                                 for (auto& half : any) half = random() % 0x7c00;
+                                                 return any;
+                                               }()};
+  ReflectanceStoreWriter writer(folder / "v.blk", g, Image8(48, 16, 1, 255));
+  for (int tile = 0; tile < 3; ++tile) writer.writeTile(tile, 0, blocks[tile]);
+  writer.commit();
+  EXPECT_EQ(encodings(folder / "v.blk", g), (std::vector<std::uint32_t>{4, 2, 1}));  // packed, zstd, raw
   const ReflectanceStore store(folder / "v.blk");
-  EXPECT_EQ(store.contentHash(), hash);
-  EXPECT_EQ(store.geometry().levels, 1);
-  EXPECT_EQ(store.fidelity().compression, Compression::lossless);
-  for (int tile = 0; tile < g.tileCount(); ++tile)
-    if (tile != 2) {
-      EXPECT_EQ(read(store, tile), randomBlock(g, tile));
-    }
+  for (int tile = 0; tile < 3; ++tile) EXPECT_EQ(read(store, tile), blocks[tile]);
+}
+
+// Files as earlier versions of this program wrote them, without packed blocks; the first with a shorter header.
+TEST(ReflectanceStore, ReadsEarlierVersions) {
+  for (const std::uint32_t version : {1, 2}) {
+    const test::TemporaryFolder folder;
+    const StoreGeometry g{.image_width = 32, .image_height = 16, .tiles_x = 2, .tiles_y = 1, .light_count = 16};
+    ReflectanceStoreWriter writer(folder / "v.blk", g, Image8(32, 16, 1, 255));
+    for (int tile = 0; tile < 2; ++tile) writer.writeTile(tile, 0, fewValuesBlock(g, tile));
+    const std::uint64_t hash = writer.commit();
+    ASSERT_EQ(encodings(folder / "v.blk", g), (std::vector<std::uint32_t>{2, 2}));
+    auto bytes = readBinaryFile(folder / "v.blk");
+    std::memcpy(&bytes[8], &version, sizeof version);
+    if (version == 1) std::memset(&bytes[44], 0, 4);
+    const std::size_t hashed = version == 1 ? 96 : 136;
+    const std::uint64_t header = contentHash(bytes.data(), hashed);
+    std::memcpy(&bytes[hashed], &header, sizeof header);
+    overwrite(folder / "v.blk", 0, bytes.data(), bytes.size());
+    const ReflectanceStore store(folder / "v.blk");
+    EXPECT_EQ(store.contentHash(), hash);
+    EXPECT_EQ(store.geometry().levels, 1);
+    EXPECT_EQ(store.fidelity().compression, Compression::lossless);
+    for (int tile = 0; tile < 2; ++tile) EXPECT_EQ(read(store, tile), fewValuesBlock(g, tile));
+  }
 }
 
 // ---- levels ----
