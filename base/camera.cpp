@@ -90,7 +90,7 @@ std::optional<Vec2> Intrinsics::project(const Point<CameraSpace>& point) const {
   return toPixel(*this, distort(*this, q));
 }
 
-std::optional<Direction<CameraSpace>> Intrinsics::unproject(const Vec2& pixel) const {
+std::optional<Direction<CameraSpace>> Intrinsics::unprojectOther(const Vec2& pixel) const {
   if (model == CameraModel::orthographic) return Direction<CameraSpace>::fromUnit({0, 0, 1});
   const double y = (pixel.y - cy) / fl_y, x = (pixel.x - cx - skew * y) / fl_x;
   if (model == CameraModel::opencv_fisheye) {
@@ -123,10 +123,7 @@ std::optional<Direction<CameraSpace>> Intrinsics::unproject(const Vec2& pixel) c
     const Vec2 back = distort(*this, q);
     if (!(std::hypot(back.x - x, back.y - y) < 1e-6) || !growsUpTo(*this, q.x * q.x + q.y * q.y)) return std::nullopt;
   }
-  const double squared = q.x * q.x + q.y * q.y + 1;
-  if (!(squared < 1e100)) return normalize(Vector<CameraSpace>(q.x, q.y, 1));
-  const double inverse = 1 / std::sqrt(squared);
-  return Direction<CameraSpace>::fromUnit({q.x * inverse, q.y * inverse, inverse});
+  return towards(q);
 }
 
 Intrinsics pinholeFromFov(int width, int height, double vfov_degrees) {

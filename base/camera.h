@@ -4,6 +4,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <optional>
 #include <string>
 
@@ -31,8 +32,22 @@ struct Intrinsics {
   /// (where the radial polynomial stops growing: it would fold back into the image).
   std::optional<Vec2> project(const Point<CameraSpace>& p) const;
   /// Direction in camera space through a pixel (the inverse of the distortion by Newton); orthographic: +z.
-  std::optional<Direction<CameraSpace>> unproject(const Vec2& pixel) const;
+  std::optional<Direction<CameraSpace>> unproject(const Vec2& pixel) const {
+    if (model != CameraModel::pinhole) return unprojectOther(pixel);
+    const double y = (pixel.y - cy) / fl_y;
+    return towards({(pixel.x - cx - skew * y) / fl_x, y});
+  }
   bool inside(const Vec2& pixel) const { return pixel.x >= 0 && pixel.y >= 0 && pixel.x <= width && pixel.y <= height; }
+
+ private:
+  /// To q in the plane at depth 1.
+  static std::optional<Direction<CameraSpace>> towards(const Vec2& q) {
+    const double squared = q.x * q.x + q.y * q.y + 1;
+    if (!(squared < 1e100)) return normalize(Vector<CameraSpace>(q.x, q.y, 1));
+    const double inverse = 1 / std::sqrt(squared);
+    return Direction<CameraSpace>::fromUnit({q.x * inverse, q.y * inverse, inverse});
+  }
+  std::optional<Direction<CameraSpace>> unprojectOther(const Vec2& pixel) const;
 };
 
 template <class Space>

@@ -411,15 +411,27 @@ unsigned tracePacket(const EmbreeScene& scene, std::span<const RawRay> rays, Tri
   return behind;
 }
 
-/// The ray `part` of the way around it on a circle of radius kBeside.
-RawRay beside(const RawRay& ray, double reach, int part, int parts) {
+/// `parts` rays around it, on a circle of radius kBeside.
+template <int parts>
+void besides(const RawRay& ray, double reach, RawRay* moved) {
+  struct Place {
+    double cosine, sine;
+  };
+  static const std::array<Place, parts> circle = [] {
+    std::array<Place, parts> places;
+    for (int part = 0; part < parts; ++part) {
+      const double angle = 6.283185307179586 * (part + 0.25) / parts;
+      places[part] = {std::cos(angle), std::sin(angle)};
+    }
+    return places;
+  }();
   const Vec3& d = ray.direction;
   const Vec3 across = cross(d, std::fabs(d.x) < 0.5 ? Vec3{1, 0, 0} : Vec3{0, 1, 0});
   const Vec3 e = across / length(across), f = cross(d, e);
-  const double angle = 6.283185307179586 * (part + 0.25) / parts;
-  RawRay moved = ray;
-  moved.origin += (kBeside * reach * std::cos(angle)) * e + (kBeside * reach * std::sin(angle)) * f;
-  return moved;
+  for (int part = 0; part < parts; ++part) {
+    moved[part] = ray;
+    moved[part].origin += (kBeside * reach * circle[part].cosine) * e + (kBeside * reach * circle[part].sine) * f;
+  }
 }
 
 // Embree decides by the signs of three edge functions, each rounded for itself. At a vertex the signs of all edges may
@@ -436,8 +448,8 @@ void lookAgain(const EmbreeScene& scene, std::span<const RawRay> rays, std::span
   TriangleHit probes[kPacket], ring[kPacket];
   for (std::size_t begin = 0; begin < doubtful.size(); begin += kGroup) {
     const std::size_t count = std::min(kGroup, doubtful.size() - begin);
-    for (std::size_t i = 0; i < count * kProbes; ++i)
-      moved[i] = beside(rays[doubtful[begin + i / kProbes]], scene.reach(), i % kProbes, kProbes);
+    for (std::size_t i = 0; i < count; ++i)
+      besides<kProbes>(rays[doubtful[begin + i]], scene.reach(), moved + i * kProbes);
     tracePacket(scene, {moved, count * kProbes}, probes);
     for (std::size_t i = 0; i < count; ++i) {
       const RawRay& ray = rays[doubtful[begin + i]];
@@ -445,7 +457,7 @@ void lookAgain(const EmbreeScene& scene, std::span<const RawRay> rays, std::span
       if (std::none_of(probes + i * kProbes, probes + (i + 1) * kProbes,
                        [&](const TriangleHit& probe) { return nearer(probe, hit); }))
         continue;
-      for (std::size_t k = 0; k < kPacket; ++k) moved[k] = beside(ray, scene.reach(), static_cast<int>(k), kPacket);
+      besides<kPacket>(ray, scene.reach(), moved);
       tracePacket(scene, moved, ring);
       // Surrounded on all sides by something nearer, it cannot but meet it: then the triangle it comes closest to.
       const bool surrounded = std::all_of(ring, ring + kPacket, [&](const auto& probe) { return nearer(probe, hit); });
@@ -470,24 +482,28 @@ void lookAgain(const EmbreeScene& scene, std::span<const RawRay> rays, std::span
 
 void RayBackend::intersect(std::span<const RawRay> rays, std::span<TriangleHit> hits) const {
   SRF_CHECK(rays.size() == hits.size());
-  std::vector<std::uint32_t> doubtful, front, back;
+  std::vector<std::uint32_t> doubtful;
+  std::vector<std::uint8_t> behind(rays.size());
+  std::size_t met = 0, from_behind = 0;
   for (std::size_t begin = 0; begin < rays.size(); begin += kPacket) {
     const std::size_t count = std::min(kPacket, rays.size() - begin);
-    const unsigned behind = tracePacket(*scene_, rays.subspan(begin, count), &hits[begin]);
+    const unsigned seen_behind = tracePacket(*scene_, rays.subspan(begin, count), &hits[begin]);
     for (std::size_t i = begin; i < begin + count; ++i) {
-      if (!hits[i].hit()) {
-        if (scene_->meetsBox(rays[i])) doubtful.push_back(static_cast<std::uint32_t>(i));
-      } else {
-        (behind >> (i - begin) & 1 ? back : front).push_back(static_cast<std::uint32_t>(i));
-      }
+      behind[i] = seen_behind >> (i - begin) & 1;
+      if (hits[i].hit())
+        ++met, from_behind += behind[i];
+      else if (scene_->meetsBox(rays[i]))
+        doubtful.push_back(static_cast<std::uint32_t>(i));
     }
   }
   // Rays of one batch mostly start outside, or mostly inside; and a mirror turns every triangle. So it is the rarer
   // side that is doubtful.
   const bool few = hits.size() < kFewHits;
-  for (const auto* side : {&front, &back})
-    if (few || side->size() < (side == &front ? back : front).size())
-      doubtful.insert(doubtful.end(), side->begin(), side->end());
+  const std::size_t from_front = met - from_behind;
+  const bool doubt_front = few || from_front < from_behind, doubt_behind = few || from_behind < from_front;
+  if ((doubt_front && from_front > 0) || (doubt_behind && from_behind > 0))
+    for (std::size_t i = 0; i < rays.size(); ++i)
+      if (hits[i].hit() && (behind[i] ? doubt_behind : doubt_front)) doubtful.push_back(static_cast<std::uint32_t>(i));
   lookAgain(*scene_, rays, doubtful, hits);
 }
 

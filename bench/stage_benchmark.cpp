@@ -190,22 +190,25 @@ class BareViews {
     parallelFor((hits_ + kAtOnce - 1) / kAtOnce, 8, [&](std::size_t begin, std::size_t end) {
       const int wanted = std::min<int>(static_cast<int>(pairs_ / hits_), kMostNearViews);
       std::vector<float> bound(views_ * kAtOnce), rest(kAtOnce);
-      std::vector<std::int32_t> slot(wanted * kAtOnce);
+      std::vector<std::int32_t> nearest(wanted * kAtOnce);
       const auto& n = near_;
       for (std::size_t b = begin; b < end; ++b)
         nearestViews(
             {centers_[0].data(), centers_[1].data(), centers_[2].data(), numbers_.data(), views_},
             {n[0].data(), n[1].data(), n[2].data(), n[0].data(), n[1].data(), n[2].data(), n[3].data(), seen_.data()},
-            kAtOnce, kAtOnce, wanted, bound.data(), slot.data(), rest.data());
+            kAtOnce, kAtOnce, wanted, bound.data(), nearest.data(), rest.data());
     });
     parallelFor((pairs_ + kAtOnce - 1) / kAtOnce, 8, [&](std::size_t begin, std::size_t end) {
       std::array<std::vector<double>, 11> out;
       for (auto& lane : out) lane.resize(kAtOnce);
+      const PlacedView view{camera_, {}, false};
+      const std::vector<std::int32_t> of(kAtOnce, 0);
+      const std::vector<double> one(kAtOnce, 1.0);
       const auto& l = lanes_;
-      const HitLanes in{l[0].data(), l[1].data(), l[2].data(), l[3].data(), l[4].data(),
-                        l[5].data(), l[6].data(), l[7].data(), l[8].data(), l[9].data()};
+      const HitLanes in{l[0].data(), l[1].data(), l[2].data(), l[3].data(), l[4].data(), l[5].data(),
+                        l[6].data(), l[7].data(), l[8].data(), l[9].data(), one.data()};
       for (std::size_t b = begin; b < end; ++b)
-        placeViews(camera_, {}, 0.05, in, kAtOnce,
+        placeViews(&view, of.data(), 0.05, 4, in, kAtOnce,
                    {out[0].data(), out[1].data(), out[2].data(), out[3].data(), out[4].data(), out[5].data(),
                     out[6].data(), out[7].data(), out[8].data(), out[9].data(), out[10].data()});
     });

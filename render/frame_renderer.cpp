@@ -211,7 +211,8 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
           const auto start = Clock::now();
-          const PixelRays rays = raysOfPiece(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i));
+          thread_local PixelRays rays;  // for its memory
+          raysOfPiece(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i), rays);
           PixelBlock& block = batch[first + i];
           block.seconds[kTrace] += secondsSince(start);
           s.gather(plan, rays, block, layers.wanted() ? &layers : nullptr, nullptr);

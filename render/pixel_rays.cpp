@@ -68,13 +68,14 @@ int pixelPieces(const Camera<ObjectSpace>& camera, std::size_t samples) {
   return blocksAlong(camera.lens.width) * blocksAlong(camera.lens.height) * piecesOfBlock(samples);
 }
 
-PixelRays raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens,
-                      std::span<const Vec2> pattern, const ScreenCover& cover, int piece) {
+void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens, std::span<const Vec2> pattern,
+                 const ScreenCover& cover, int piece, PixelRays& result) {
   const int pieces = piecesOfBlock(pattern.size()), pixels = piecePixels(pattern.size());
   const int block = piece / pieces, first = piece % pieces * pixels, end = std::min(first + pixels, kBlockPixels);
   const int blocks_x = blocksAlong(camera.lens.width);
   const int x0 = block % blocks_x * kPixelBlock, y0 = block / blocks_x * kPixelBlock;
-  PixelRays result;
+  result.rays.clear();
+  result.pixel.clear();
   result.rays.reserve((end - first) * pattern.size());
   result.pixel.reserve((end - first) * pattern.size());
   for (int i = first; i < end; ++i) {
@@ -82,7 +83,6 @@ PixelRays raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<Thi
     const int x = x0 + at.x, y = y0 + at.y;
     if (x < camera.lens.width && y < camera.lens.height && cover.covers(x, y)) result.add(camera, lens, pattern, x, y);
   }
-  return result;
 }
 
 }  // namespace srf

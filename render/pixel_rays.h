@@ -34,8 +34,8 @@ struct PixelRays {
 int piecePixels(std::size_t samples);
 /// Pieces of a picture: those of a block one after the other, blocks row by row.
 int pixelPieces(const Camera<ObjectSpace>& camera, std::size_t samples);
-/// Pixels that the cover leaves out get no rays.
-PixelRays raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens,
-                      std::span<const Vec2> pattern, const ScreenCover& cover, int piece);
+/// Those of one piece in place of what `result` held. Pixels that the cover leaves out get no rays.
+void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens, std::span<const Vec2> pattern,
+                 const ScreenCover& cover, int piece, PixelRays& result);
 
 }  // namespace srf

@@ -12,7 +12,7 @@ namespace srf {
 namespace {
 
 constexpr std::size_t kGrain = 8192;
-constexpr float kPad = 1;  // pixels; rounding in the ray scene is a thousandth of one
+constexpr float kPad = 0.5;  // pixels; rounding in the ray scene is a thousandth of one, for an object of some 1e4
 // A lens that distorts bends the edges of a triangle: by less than this part of its extent for any lens whose picture
 // does not fold.
 constexpr float kBend = 0.5;

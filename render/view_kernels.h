@@ -25,10 +25,11 @@ struct NearViews {
 };
 inline constexpr int kMostNearViews = 9;  ///< that nearestViews finds
 /// bound[s * stride + i] <= viewPenalty of view s from hit i, all of it usable; infinite where it does not see the hit.
-/// Off by some 1e-5 of the penalty's radians, always downwards. slot[j * stride + i], j < wanted <= kMostNearViews: the
-/// views of least bound, nearest first, -1: no more; rest[i]: the least bound of the others.
+/// Off by some 1e-5 of the penalty's radians (a thousandth of them at 60 degrees, a fifth at 180), always downwards.
+/// nearest[j * stride + i], j < wanted <= kMostNearViews: the numbers of the views of least bound, nearest first, -1:
+/// no more; rest[i]: the least bound of the others.
 void nearestViews(const NearViews& views, const NearLanes& hits, std::size_t count, std::size_t stride, int wanted,
-                  float* bound, std::int32_t* slot, float* rest);
+                  float* bound, std::int32_t* nearest, float* rest);
 
 /// squared[i] = |d - (x, y, z)[i]|^2, the same operations in every instruction set.
 void squaredChords(const Vec3& d, const double* x, const double* y, const double* z, std::size_t count,
@@ -48,14 +49,17 @@ inline bool bendsLines(const Intrinsics& lens) {
 struct HitLanes {
   const double *px, *py, *pz, *vx, *vy, *vz, *nx, *ny, *nz;
   const double* eye_distance;
+  const double* weight;  ///< of p's points together; negated where a view may see only some of them
 };
-/// How one view lies to each of them.
+/// How a view lies to each of them.
 struct ViewLanes {
   double* angle;           ///< between v and the view's direction at p, radians
-  double* resolution;      ///< resolutionPenalty
+  double* penalty;         ///< viewPenalty of a view whose picture covers all of p; kPenaltyCap where it is unusable
   double* foreshortening;  ///< sqrt(n . direction), kept above 0
   double *pixel_x, *pixel_y;
-  double* usable;                               ///< 0 where the view has no direction or no pixel there, else 1
+  /// 0: no direction or no pixel there, or beyond the picture's border; 1: usable; 2: how far must be asked, near the
+  /// border or where weight is negative, and the penalty is that of a view that sees all of p.
+  double* usable;
   double* border;                               ///< pixels to the picture's border, below 0 outside
   double *floor_x, *floor_y, *part_x, *part_y;  ///< TexelPlace
 };
@@ -63,10 +67,17 @@ struct ViewLanes {
 struct TexelPlace {
   double floor_x, floor_y, part_x, part_y;
 };
-/// A view without lens distortion (pinhole or orthographic) whose stored rectangle begins at pixel `crop`. The same
-/// operations in every instruction set; the angle is within 1e-15 of atan2's, the rest within two roundings of the
+/// A view, and the pixel at which its stored rectangle begins.
+struct PlacedView {
+  Camera<AcquisitionSpace> camera;
+  Vec2 crop;
+  bool bends;  ///< bendsLines: of its pixels nothing is told, and `usable` is 2 wherever it has a direction
+};
+/// How view `view[i]` lies to hit i; where view[i] is negative, nothing is written. Hits side by side mostly have the
+/// same views: these are placed together. `border`: pixels over which a view fades towards its picture's border. The
+/// same operations in every instruction set; the angle is within 1e-15 of atan2's, the rest within two roundings of the
 /// scalar forms in view_selection.cpp.
-void placeViews(const Camera<AcquisitionSpace>& camera, const Vec2& crop, double least_foreshortening,
+void placeViews(const PlacedView* views, const std::int32_t* view, double least_foreshortening, double border,
                 const HitLanes& hits, std::size_t count, const ViewLanes& out);
 
 }  // namespace srf

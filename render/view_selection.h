@@ -41,13 +41,7 @@ class ViewSelection {
     not_seen,  ///< no view sees p: the nearest by angle whose picture covers it stands in
     none       ///< no picture covers p
   };
-  /// A view that was looked at for a hit.
-  struct Tried {
-    double penalty;
-    std::uint32_t view, lane;  ///< how it lies to the hit: in view_lanes
-    bool whole;                ///< all four texels of the fetch are covered
-  };
-  /// One that may be used, and its pair. By penalty, ties by view.
+  /// A view that may be used, and its pair. By penalty, ties by view.
   struct Ranked {
     double penalty;
     std::uint32_t view, pair;
@@ -55,26 +49,25 @@ class ViewSelection {
       return a.penalty != b.penalty ? a.penalty < b.penalty : a.view < b.view;
     }
   };
-  using HitPlace = std::array<double, 10>;  ///< HitLanes of one hit
-  /// Memory that select() uses; one for each thread.
+  /// Memory that select() uses; one for each thread. A pair is a hit and a view that is looked at for it. First come
+  /// those of the nearest views, rank by rank: of rank j and hit h at j * stride + h; then, hit by hit, more of them.
   struct Scratch {
-    std::vector<std::uint64_t> seen, by_all;  ///< of each hit: views that see one of its points, or all of them
-    std::vector<double> weight;               ///< of each hit: of its points together, at most 1
-    std::vector<HitPlace> hits;
-    std::array<std::vector<float>, 7> near;                   ///< NearLanes of all hits
-    std::vector<std::uint32_t> seen_lanes;                    ///< the same views, by word and hit
-    std::vector<std::uint32_t> views, slot;                   ///< that see some hit; where each view is in `views`
-    std::array<std::vector<float>, 3> centers;                ///< of those views
-    std::vector<float> bounds, rest;                          ///< nearestViews
-    std::vector<std::int32_t> nearest;                        ///< likewise
-    std::vector<std::uint32_t> hit_of, view_of;               ///< of each pair to be looked at
-    std::vector<std::uint32_t> begin, order;                  ///< pairs by view
-    std::array<std::vector<double>, 10> hit_lanes;            ///< of the pairs of one view
-    std::array<std::vector<double>, 11> view_lanes;           ///< of all pairs, by view
-    std::size_t lanes = 0;                                    ///< of view_lanes in use
-    std::vector<Tried> tried;                                 ///< of each pair
-    std::vector<std::array<std::uint32_t, 2>> first, second;  ///< pairs of each hit: begin and end
-    std::vector<Ranked> ranked;                               ///< of one hit
+    std::vector<std::uint64_t> seen, by_all;         ///< of each hit: views that see one of its points, or all of them
+    std::array<std::vector<double>, 11> hit_lanes;   ///< HitLanes of all hits
+    std::array<std::vector<double>, 11> more_lanes;  ///< HitLanes of the pairs after the nearest
+    std::array<std::vector<float>, 7> near;          ///< NearLanes of all hits
+    std::vector<std::uint32_t> seen_lanes;           ///< the same views, by word and hit
+    std::vector<std::uint32_t> views, slot;          ///< that see some hit; where each view is in `views`
+    std::array<std::vector<float>, 3> centers;       ///< of those views
+    std::vector<float> bounds, rest;                 ///< nearestViews
+    std::vector<std::uint32_t> each_hit, hit_of;     ///< 0, 1, ..; of the pairs after the nearest
+    std::vector<std::int32_t> more_views;            ///< of those pairs
+    std::vector<std::array<std::uint32_t, 2>> more;  ///< of each hit: its pairs after the nearest
+    std::vector<std::int32_t> view;                  ///< of each pair; -1: none
+    std::array<std::vector<double>, 11> view_lanes;  ///< ViewLanes of each pair
+    std::vector<std::uint32_t> fetch;                ///< of each pair: into `fetches`
+    std::vector<Fetch> fetches;                      ///< those whose four texels are not all covered
+    std::vector<Ranked> ranked;                      ///< of one hit
     std::vector<std::pair<double, std::uint32_t>> standing_in;
   };
   /// The views of each hit.
@@ -93,15 +86,16 @@ class ViewSelection {
   const std::vector<SourceView>& views() const { return views_; }
 
  private:
-  /// Looks at the pairs from `begin` on, view by view.
-  void lookAt(std::span<const ViewQuery> queries, std::size_t begin, Scratch& s) const;
-  /// How much of the pixel's surroundings the view's picture holds, 0 to 1.
-  double covered(std::uint32_t view, const Vec2& pixel, double border, bool whole) const;
-  void fetch(std::uint32_t view, const Vec2& pixel, const TexelPlace& place, bool whole, Fetch& fetch) const;
+  /// The weight of the hit's points that the view sees.
+  double seenShare(const ViewQuery& query, std::uint32_t view) const;
+  /// Looks at `count` pairs from `first` on; the i-th is of hit hit_of[i], which `from` has in lane i.
+  void lookAt(std::span<const ViewQuery> queries, const HitLanes& from, const std::uint32_t* hit_of, std::size_t first,
+              std::size_t count, Scratch& s) const;
   /// The nearest picture by angle that covers p, where no view sees it.
   bool standIn(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& s, ChosenView& chosen) const;
 
   std::vector<SourceView> views_;
+  std::vector<PlacedView> placed_;  ///< of each view
   const VisibilityBits& visible_;
   int k_;
 };
