@@ -163,13 +163,14 @@ bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored,
   if (rank < 1 || stored.size() != storedBytes(g, rank)) return false;
   block.rank = rank;
   block.pad = rankPad(rank);
-  block.halves.resize(static_cast<std::size_t>(kRows) * rank);
+  block.halves.assign(static_cast<std::size_t>(kRows) * block.pad, 0);
   block.basis.assign(static_cast<std::size_t>(lights) * block.pad, 0.f);
   const std::byte* at = stored.data() + sizeof header;
   const std::byte* low = stored.data() + stored.size() - 2 * static_cast<std::size_t>(rank) * kRows;
   const std::byte* high = low + static_cast<std::size_t>(rank) * kRows;
   std::int16_t whole[kRows];
   float values[kRows];
+  std::uint16_t coefficients[kRows];
   std::vector<std::uint16_t> halves(g.lightPad(), 0);
   std::vector<float> vector(halves.size());
   constexpr int kWide = 3 * kTile;  // a row of texels
@@ -196,12 +197,10 @@ bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored,
       for (std::int16_t* to = whole + kWide; to < whole + kRows; to += kWide)
         for (int i = 0; i < kWide; ++i) to[i] = static_cast<std::int16_t>(to[i] + to[i - kWide]);
     }
-    for (int texel = 0; texel < kTexels; ++texel) {
-      values[texel] = whole[3 * texel];
-      values[kTexels + texel] = whole[3 * texel + 1];
-      values[2 * kTexels + texel] = whole[3 * texel + 2];
-    }
-    halvesFromFloats(values, &block.halves[static_cast<std::size_t>(k) * kRows], kRows);  // exact up to 2048 steps
+    for (int row = 0; row < kRows; ++row) values[row] = whole[row];
+    halvesFromFloats(values, coefficients, kRows);  // exact up to 2048 steps
+    for (int row = 0; row < kRows; ++row)
+      block.halves[static_cast<std::size_t>(row) * block.pad + k] = coefficients[row];
   }
   block.lit.clear();
   for (int j = 0; j < lights; ++j) {
@@ -217,16 +216,16 @@ void expandBlock(const StoreGeometry& g, const ReflectanceBlock& block, std::spa
     return;
   }
   const int light_pad = g.lightPad();
-  std::vector<float> coefficients(static_cast<std::size_t>(block.rank) * kRows), sum(light_pad);
-  floatsFromHalves(block.halves.data(), coefficients.data(), block.rank * kRows);
+  std::vector<float> coefficients(block.pad), sum(light_pad);
   std::vector<float> vectors(static_cast<std::size_t>(block.rank) * light_pad, 0.f);  // [k][light]
   for (int k = 0; k < block.rank; ++k)
     for (int j = 0; j < g.light_count; ++j)
       vectors[static_cast<std::size_t>(k) * light_pad + j] = block.basis[static_cast<std::size_t>(j) * block.pad + k];
   for (int row = 0; row < kRows; ++row) {
     std::fill(sum.begin(), sum.end(), 0.f);
+    floatsFromHalves(&block.halves[static_cast<std::size_t>(row) * block.pad], coefficients.data(), block.pad);
     for (int k = 0; k < block.rank; ++k) {
-      const float coefficient = coefficients[(static_cast<std::size_t>(k) * 3 + row % 3) * kTexels + row / 3];
+      const float coefficient = coefficients[k];
       if (coefficient == 0) continue;
       const float* vector = vectors.data() + static_cast<std::size_t>(k) * light_pad;
       for (int j = 0; j < light_pad; ++j) sum[j] += coefficient * vector[j];

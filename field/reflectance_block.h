@@ -12,12 +12,11 @@
 namespace srf {
 
 /// What the lights of a block's texels are: as photographed, or in a basis of few vectors over the lights,
-/// value[texel][channel][light] = sum over k of halves[k][channel][texel] * basis[light][k]. In a basis the texels lie
-/// side by side: products run over them without a sum across lanes.
+/// value[texel][channel][light] = sum over k of halves[texel][channel][k] * basis[light][k].
 struct ReflectanceBlock {
   int rank = 0;                       ///< vectors of the basis; 0: as photographed
   int pad = 0;                        ///< lightPad(), or the rank rounded up to a multiple of kRankGroup
-  std::vector<std::uint16_t> halves;  ///< half[16][16][3][pad], or half[rank][3][16][16]
+  std::vector<std::uint16_t> halves;  ///< half[16][16][3][pad]; 0 beyond the rank
   std::vector<float> basis;           ///< float[light_count][pad]
   std::vector<std::uint32_t> lit;     ///< lights in whose rows of the basis is a number; rising
 
@@ -26,7 +25,7 @@ struct ReflectanceBlock {
   }
 };
 
-inline constexpr int kRankGroup = 8;
+inline constexpr int kRankGroup = 16;
 
 /// The block as photographed: half[16][16][3][lightPad()]. What a basis makes negative is 0, beyond the range of halves
 /// 65504.

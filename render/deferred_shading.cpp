@@ -21,6 +21,11 @@ struct Run {
 struct Job {
   std::size_t begin, end;
 };
+struct Item {
+  const ShadingOperation* operation;
+  const LightGather* lights;
+  Rgb* result;
+};
 constexpr std::size_t kJobOperations = 2048;  // enough to outweigh the handle, few enough to balance two threads
 
 }  // namespace
@@ -113,20 +118,27 @@ void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder or
   std::atomic<std::size_t> next{0};
   parallelFor(sorted ? static_cast<std::size_t>(threadCount()) : 1, 1, [&](std::size_t, std::size_t) {
     thread_local TexelProducts products;
+    thread_local std::vector<Item> items;
     for (std::size_t j = next++; j < jobs.size(); j = next++) {
       throwIfInterrupted();
-      const ShadingOperation& one = batches[runs[jobs[j].begin].batch].operations[runs[jobs[j].begin].begin];
-      const BlockCache::Handle handle = cache_.get(ViewId{one.view}, one.tile);
-      products.begin(handle.block(), geometry_[one.view].light_count);
+      items.clear();
       for (std::size_t r = jobs[j].begin; r < jobs[j].end; ++r) {
         ShadingBatch& batch = batches[runs[r].batch];
-        const std::uint32_t end = runs[r].end;
-        constexpr std::uint32_t kAhead = 4;
-        for (std::uint32_t i = runs[r].begin; i < end; ++i) {
-          if (i + 2 * kAhead < end) products.prefetchWeights(batch.operations[i + 2 * kAhead], batch.lights);
-          if (i + kAhead < end) products.prefetchEntries(batch.operations[i + kAhead], batch.lights);
-          products.add(batch.operations[i], batch.lights, batch.results[i]);
-        }
+        for (std::uint32_t i = runs[r].begin; i < runs[r].end; ++i)
+          items.push_back({&batch.operations[i], &batch.lights, &batch.results[i]});
+      }
+      const ShadingOperation& one = *items.front().operation;
+      const BlockCache::Handle handle = cache_.get(ViewId{one.view}, one.tile);
+      products.begin(handle.block(), geometry_[one.view].light_count);
+      // Operations lie where their batches are, their weights and entries where the hits are: each is fetched ahead.
+      constexpr std::size_t kAhead = 4;
+      const std::size_t count = items.size();
+      for (std::size_t i = 0; i < count; ++i) {
+        if (i + 4 * kAhead < count) __builtin_prefetch(items[i + 4 * kAhead].operation);
+        if (i + 2 * kAhead < count)
+          products.prefetchWeights(*items[i + 2 * kAhead].operation, *items[i + 2 * kAhead].lights);
+        if (i + kAhead < count) products.prefetchEntries(*items[i + kAhead].operation, *items[i + kAhead].lights);
+        products.add(*items[i].operation, *items[i].lights, *items[i].result);
       }
       products.flush();
     }

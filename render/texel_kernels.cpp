@@ -1,9 +1,6 @@
 #include "render/texel_kernels.h"
 
-#include <type_traits>
-
 #include "base/image_io.h"
-#include "field/reflectance_block.h"
 #include "render/highway_targets.h"
 
 #undef HWY_TARGET_INCLUDE
@@ -11,48 +8,11 @@
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 
+#include "render/lane_sums-inl.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace srf {
 namespace HWY_NAMESPACE {
-namespace hn = hwy::HWY_NAMESPACE;
-
-constexpr std::size_t kSumLanes = 16;
-using F = hn::CappedTag<float, kSumLanes>;
-constexpr std::size_t kParts = kSumLanes / hn::MaxLanes(F());
-using Part = hn::Vec<F>;
-
-// 16 lanes to 4, in halves.
-template <class D>
-hn::Vec<hn::FixedTag<float, 4>> fold(D, hn::Vec<D>* parts) {
-  for (std::size_t left = kParts; left > 1; left /= 2)
-    for (std::size_t i = 0; i < left / 2; ++i) parts[i] = hn::Add(parts[i], parts[i + left / 2]);
-  const hn::FixedTag<float, 4> four;
-  if constexpr (hn::MaxLanes(D()) == 16) {
-    const hn::Half<D> eight;
-    const auto half = hn::Add(hn::LowerHalf(eight, parts[0]), hn::UpperHalf(eight, parts[0]));
-    return hn::Add(hn::LowerHalf(four, half), hn::UpperHalf(four, half));
-  } else if constexpr (hn::MaxLanes(D()) == 8) {
-    return hn::Add(hn::LowerHalf(four, parts[0]), hn::UpperHalf(four, parts[0]));
-  } else {
-    return parts[0];
-  }
-}
-
-/// Calls run with `count` <= kProductVectors as a constant: a kernel keeps its sums in registers.
-template <class Run>
-HWY_INLINE void withCount(int count, const Run& run) {
-  static_assert(kProductVectors == 4);
-  switch (count) {
-    case 1:
-      return run(std::integral_constant<int, 1>());
-    case 2:
-      return run(std::integral_constant<int, 2>());
-    case 3:
-      return run(std::integral_constant<int, 3>());
-    default:
-      return run(std::integral_constant<int, 4>());
-  }
-}
 
 template <int kVectors>
 void dotsOf(const std::uint16_t* texel, int pad, const float* const* vectors, float* const* products) {
@@ -73,14 +33,7 @@ void dotsOf(const std::uint16_t* texel, int pad, const float* const* vectors, fl
       }
     for (int v = 0; v < kVectors; ++v) sums[c][v] = fold(f, parts[v]);
   }
-  // Four lanes of r, g and b to r, g, b, 0: lanes 0 and 2, 1 and 3 first, then the two sums.
-  const auto zero = hn::Zero(four);
-  for (int v = 0; v < kVectors; ++v) {
-    const auto &r = sums[0][v], &g = sums[1][v], &b = sums[2][v];
-    const auto rb = hn::Add(hn::InterleaveLower(four, r, b), hn::InterleaveUpper(four, r, b));
-    const auto g0 = hn::Add(hn::InterleaveLower(four, g, zero), hn::InterleaveUpper(four, g, zero));
-    hn::StoreU(hn::Add(hn::InterleaveLower(four, rb, g0), hn::InterleaveUpper(four, rb, g0)), four, products[v]);
-  }
+  for (int v = 0; v < kVectors; ++v) hn::StoreU(foldedRgb(sums[0][v], sums[1][v], sums[2][v]), four, products[v]);
 }
 
 void dots(const std::uint16_t* texel, int pad, const float* const* vectors, int count, float* const* products) {
@@ -95,56 +48,6 @@ void lights(const std::uint16_t* texel, int pad, const std::uint32_t* light, int
     alignas(8) const std::uint16_t rgb[4] = {at[0], at[pad], at[2 * pad], 0};
     hn::StoreU(hn::PromoteTo(four, hn::LoadU(h, reinterpret_cast<const hwy::float16_t*>(rgb))), four, products[i]);
   }
-}
-
-template <int kVectors>
-void projectOf(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
-               int light_pad, float* const* projected) {
-  const hn::CappedTag<float, kRankGroup> d;
-  for (int k = 0; k < rank_pad; k += static_cast<int>(hn::Lanes(d))) {
-    hn::Vec<decltype(d)> sum[kVectors][3];
-    for (auto& of_vector : sum)
-      for (auto& channel : of_vector) channel = hn::Zero(d);
-    for (const std::uint32_t j : lit) {
-      const auto row = hn::LoadU(d, basis + static_cast<std::size_t>(j) * rank_pad + k);
-      for (int v = 0; v < kVectors; ++v)
-        for (int c = 0; c < 3; ++c) {
-          const auto weight = hn::Set(d, vectors[v][static_cast<std::size_t>(c) * light_pad + j]);
-          sum[v][c] = hn::MulAdd(row, weight, sum[v][c]);
-        }
-    }
-    for (int v = 0; v < kVectors; ++v)
-      hn::StoreInterleaved4(sum[v][0], sum[v][1], sum[v][2], hn::Zero(d), d, projected[v] + k * kProductRow);
-  }
-}
-
-void project(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
-             int light_pad, int count, float* const* projected) {
-  withCount(count, [&](auto number) { projectOf<number.value>(basis, rank_pad, lit, vectors, light_pad, projected); });
-}
-
-template <int kVectors>
-void rowOf(const std::uint16_t* row, int rank, const float* const* projected, float* const* products) {
-  const F f;
-  const hn::Rebind<hwy::float16_t, F> h;
-  for (std::size_t at = 0; at < kSumLanes; at += hn::Lanes(f)) {
-    Part sum[kVectors][3];
-    for (auto& of_vector : sum)
-      for (Part& channel : of_vector) channel = hn::Zero(f);
-    const auto* halves = reinterpret_cast<const hwy::float16_t*>(row) + at;
-    for (int k = 0; k < rank; ++k)
-      for (int c = 0; c < 3; ++c, halves += kProductTable / kProductRow) {
-        const auto value = hn::PromoteTo(f, hn::LoadU(h, halves));
-        for (int v = 0; v < kVectors; ++v)
-          sum[v][c] = hn::MulAdd(value, hn::Set(f, projected[v][k * kProductRow + c]), sum[v][c]);
-      }
-    for (int v = 0; v < kVectors; ++v)
-      hn::StoreInterleaved4(sum[v][0], sum[v][1], sum[v][2], hn::Zero(f), f, products[v] + at * kProductRow);
-  }
-}
-
-void row(const std::uint16_t* of_texels, int rank, const float* const* projected, int count, float* const* products) {
-  withCount(count, [&](auto number) { rowOf<number.value>(of_texels, rank, projected, products); });
 }
 
 // The sum of the two halves of 8 lanes.
@@ -211,8 +114,6 @@ HWY_AFTER_NAMESPACE();
 namespace srf {
 HWY_EXPORT(dots);
 HWY_EXPORT(lights);
-HWY_EXPORT(project);
-HWY_EXPORT(row);
 HWY_EXPORT(sum);
 
 void texelDots(const std::uint16_t* texel, int light_pad, const float* const* vectors, int count,
@@ -229,19 +130,6 @@ std::array<double, 3> texelDotReference(const std::uint16_t* texel, int light_pa
 void texelLights(const std::uint16_t* texel, int light_pad, const std::uint32_t* lights, int count,
                  float* const* products) {
   HWY_DYNAMIC_DISPATCH(lights)(texel, light_pad, lights, count, products);
-}
-void projectVectors(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
-                    int light_pad, int count, float* const* projected) {
-  HWY_DYNAMIC_DISPATCH(project)(basis, rank_pad, lit, vectors, light_pad, count, projected);
-}
-void projectLight(const float* basis, int rank_pad, std::uint32_t light, float* projected) {
-  const float* const row = basis + static_cast<std::size_t>(light) * rank_pad;
-  for (int k = 0; k < rank_pad; ++k)
-    for (int c = 0; c < kProductRow; ++c) projected[k * kProductRow + c] = c < 3 ? row[k] : 0.f;
-}
-void rowProducts(const std::uint16_t* texels, int rank, const float* const* projected, int count,
-                 float* const* products) {
-  HWY_DYNAMIC_DISPATCH(row)(texels, rank, projected, count, products);
 }
 void sumProducts(const float* tables, const ProductSum* sums, std::size_t count) {
   HWY_DYNAMIC_DISPATCH(sum)(tables, sums, count);

@@ -5,7 +5,6 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <span>
 
 #include "render/reflectance_dot.h"
 
@@ -24,20 +23,6 @@ std::array<double, 3> texelDotReference(const std::uint16_t* texel, int light_pa
 /// products[i] = texel[.][lights[i]], the reflectance under one light; [3] is 0.
 void texelLights(const std::uint16_t* texel, int light_pad, const std::uint32_t* lights, int count,
                  float* const* products);
-
-/// Light weights in the basis of a compressed block, w . (B c) = (B^T w) . c, so that products run over a few
-/// coefficients in place of all lights: projected[i][k][c] = sum over lights j in `lit` of basis[j][k] *
-/// vectors[i][c][j], for i < count <= kProductVectors; [3] is 0. Of a surface that turns away from half of the lights,
-/// their rows of the basis are 0 and not `lit`. basis: float[][rank_pad]; vectors: float[3][light_pad]; projected:
-/// float[rank_pad][kProductRow]. Error: at most (lit + 1) 2^-24 of the sum of the terms' absolute values.
-void projectVectors(const float* basis, int rank_pad, std::span<const std::uint32_t> lit, const float* const* vectors,
-                    int light_pad, int count, float* const* projected);
-/// The same for `light` alone: its row of the basis in each channel.
-void projectLight(const float* basis, int rank_pad, std::uint32_t light, float* projected);
-/// The products of 16 texels of a compressed block, a row of it: products[i][texel][c] = sum over k < rank of
-/// row[k][c][texel] * projected[i][k][c] for i < count <= kProductVectors; [3] is 0. row[k][c]: 256 halves apart.
-/// Error: at most rank 2^-24 of the sum of the terms' absolute values.
-void rowProducts(const std::uint16_t* row, int rank, const float* const* projected, int count, float* const* products);
 
 /// A table of products, one row of kProductRow floats a texel of the block: r, g, b, 0.
 inline constexpr int kProductRow = 4;

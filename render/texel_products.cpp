@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <bit>
-#include <utility>
 
 #include "base/check.h"
 #include "field/reflectance_store.h"
@@ -26,6 +25,7 @@ TexelProducts::TexelProducts()
 void TexelProducts::begin(const ReflectanceBlock& block, int light_count) {
   SRF_DCHECK(sums_used_ == 0);
   block_ = &block;
+  if (!block.basis.empty()) return in_basis_.begin(block, light_count);
   light_count_ = light_count;
   slot_of_light_.assign(light_count, kNoSlot);
   lights_ = nullptr;
@@ -59,11 +59,11 @@ inline std::uint8_t TexelProducts::slotOfLight(std::uint32_t light) {
 }
 
 void TexelProducts::add(const ShadingOperation& operation, const LightGather& lights, Rgb& result) {
+  if (!block_->basis.empty()) return in_basis_.add(operation, lights, result);
   const LightWeights& weights = lights.weights[operation.lights];
-  // What is this hit's alone is multiplied at once, or in a basis with all others.
-  const float* const own_vector = weights.own != LightWeights::kNone ? lights.own.data() + weights.own : nullptr;
-  const bool own = own_vector && block_->basis.empty();
-  if (own) result = reflectanceDot(block_->halves.data(), block_->pad, operation, own_vector);
+  // What is this hit's alone is multiplied at once.
+  const bool own = weights.own != LightWeights::kNone;
+  if (own) result = reflectanceDot(block_->halves.data(), block_->pad, operation, lights.own.data() + weights.own);
   const LightEntry* entry = lights.entries.data() + weights.first_entry;
   const LightEntry* const entries_end = entry + weights.entries;
   bool first = true;
@@ -104,7 +104,6 @@ void TexelProducts::add(const ShadingOperation& operation, const LightGather& li
         if (slot == kNoSlot) slot = slotOfVector(lights.vectors[weights.shared[i]]);
         share(weights.share[i], slot);
       }
-      if (own_vector && !own) share(1, slotOfVector(own_vector));
     }
     sum.share_count = shares;
     sum.entries = entry;
@@ -153,51 +152,9 @@ void TexelProducts::fill() {
   }
 }
 
-void TexelProducts::fillInBasis() {
-  const float* const basis = block_->basis.data();
-  const int pad = block_->pad;
-  const std::size_t size = static_cast<std::size_t>(pad) * kProductRow;
-  projected_.resize(kSlots * size);
-  const float* vectors[kProductVectors];
-  float* of_vector[kProductVectors];
-  int count = 0;
-  const auto project = [&] {
-    if (count > 0) projectVectors(basis, pad, block_->lit, vectors, lightPad(light_count_), count, of_vector);
-    count = 0;
-  };
-  for (int slot = 0; slot < slots_; ++slot) {
-    float* const to = projected_.data() + slot * size;
-    if (!vector_[slot]) {
-      projectLight(basis, pad, light_[slot], to);
-      continue;
-    }
-    vectors[count] = vector_[slot];
-    of_vector[count] = to;
-    if (++count == kProductVectors) project();
-  }
-  project();
-  for (int row = 0; row < kTexels; row += kTile) {
-    std::uint64_t wanted = 0;
-    for (int texel = row; texel < row + kTile; ++texel) wanted |= std::exchange(wanted_[texel], 0);
-    while (wanted) {
-      const float* weights[kProductVectors];
-      float* products[kProductVectors];
-      int of_row = 0;
-      for (; wanted && of_row < kProductVectors; ++of_row, wanted &= wanted - 1) {
-        const int slot = std::countr_zero(wanted);
-        weights[of_row] = projected_.data() + slot * size;
-        products[of_row] = table(slot) + static_cast<std::size_t>(row) * kProductRow;
-      }
-      rowProducts(block_->halves.data() + row, block_->rank, weights, of_row, products);
-    }
-  }
-}
-
 void TexelProducts::flush() {
-  if (block_->basis.empty())
-    fill();
-  else
-    fillInBasis();
+  if (!block_->basis.empty()) return in_basis_.flush();
+  fill();
   const std::uint8_t* slot = terms_.data();
   for (std::size_t i = 0; i < sums_used_; ++i) {
     sums_[i].slot = slot;

@@ -1,8 +1,7 @@
 // The products of one block's texels with what operations multiply them by, each made once however many operations ask
 // for it (M15). An operation's light weights are a blend of vectors that many hits share, plus single lights: by
 // linearity the block's texels are multiplied with each vector alone, and operations blend and interpolate the colours
-// that come out. At two pixels a texel that is a fifth of the work. A compressed block's vectors go into its basis
-// first, each once, and its texels are then multiplied with a few numbers.
+// that come out. At two pixels a texel that is a fifth of the work. Compressed blocks are basis_products' work.
 #pragma once
 
 #include <cstdint>
@@ -10,6 +9,7 @@
 #include <vector>
 
 #include "field/reflectance_block.h"
+#include "render/basis_products.h"
 #include "render/light_weights.h"
 #include "render/shading_operation.h"
 #include "render/texel_kernels.h"
@@ -28,8 +28,9 @@ class TexelProducts {
     __builtin_prefetch(lights.weights.data() + operation.lights);
   }
   static void prefetchEntries(const ShadingOperation& operation, const LightGather& lights) {
-    const char* const entries =
-        reinterpret_cast<const char*>(lights.entries.data() + lights.weights[operation.lights].first_entry);
+    const LightWeights& weights = lights.weights[operation.lights];
+    if (weights.entries == 0) return;
+    const char* const entries = reinterpret_cast<const char*>(lights.entries.data() + weights.first_entry);
     __builtin_prefetch(entries);
     __builtin_prefetch(entries + 64);
   }
@@ -44,12 +45,11 @@ class TexelProducts {
   std::uint8_t slotOfLight(std::uint32_t light);
   std::uint8_t newSlot(const float* vector, std::uint32_t light);
   void fill();
-  void fillInBasis();
   float* table(int slot) { return tables_.get() + static_cast<std::size_t>(slot) * kProductTable; }
 
   const ReflectanceBlock* block_ = nullptr;
   int light_count_ = 0;
-  std::vector<float> projected_;             ///< of a compressed block: float[kSlots][block_->pad][kProductRow]
+  BasisProducts in_basis_;                   ///< of a compressed block
   std::unique_ptr<float[]> tables_;          ///< float[kSlots][256][kProductRow]
   int slots_ = 0;                            ///< in use
   const float* vector_[kSlots];              ///< of each slot; none: a single light

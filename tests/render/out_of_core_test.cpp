@@ -24,8 +24,9 @@ TEST(TexelProducts, OfACompressedBlockAreThoseOfTheBlockItStandsFor) {
   for (const int rank : {3, 8, 21}) {
     ReflectanceBlock block;
     block.rank = rank, block.pad = (rank + kRankGroup - 1) / kRankGroup * kRankGroup;
-    block.halves.resize(static_cast<std::size_t>(rank) * 3 * kTexels);
-    for (auto& half : block.halves) half = halfFromFloat(std::round(100 * normal(random)));
+    block.halves.resize(3 * kTexels * static_cast<std::size_t>(block.pad));
+    for (std::size_t i = 0; i < block.halves.size(); ++i)
+      if (static_cast<int>(i % block.pad) < rank) block.halves[i] = halfFromFloat(std::round(100 * normal(random)));
     block.basis.resize(static_cast<std::size_t>(g.light_count) * block.pad);
     for (int j = 0; j < g.light_count; ++j) {
       if (j % 3 == 1) continue;  // dark
@@ -82,7 +83,7 @@ TEST(TexelProducts, OfACompressedBlockAreThoseOfTheBlockItStandsFor) {
           for (int t = 0; t < 4; ++t)
             for (int k = 0; k < rank && operation.tap[t] > 0; ++k) {
               const int texel = (operation.y + t / 2) * kTile + operation.x + t % 2;
-              const double term = 0.25 * floatFromHalf(block.halves[(k * 3 + c) * kTexels + texel]) *
+              const double term = 0.25 * floatFromHalf(block.halves[(texel * 3 + c) * block.pad + k]) *
                                   block.basis[static_cast<std::size_t>(j) * block.pad + k] * weight;
               want += term, terms += std::fabs(term);
             }
