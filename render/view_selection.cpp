@@ -290,6 +290,7 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
       sum += weight;
       ChosenView& view = chosen.views.emplace_back();
       view.view = tried.view, view.weight = weight, view.angle = all.angle[lane], view.penalty = tried.penalty;
+      view.foreshortening = all.foreshortening[lane];
       fetch(tried.view, {all.pixel_x[lane], all.pixel_y[lane]},
             {all.floor_x[lane], all.floor_y[lane], all.part_x[lane], all.part_y[lane]}, tried.whole, view.fetch);
     };
