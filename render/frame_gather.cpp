@@ -104,6 +104,10 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   for (std::size_t m = 0; m < met.size(); ++m)
     levels->apply(camera, static_cast<double>(plan.pattern.size()), hits[met[m]], look_ups[m], queries[m].view,
                   std::span(chosen.views).subspan(chosen.first[m], chosen.first[m + 1] - chosen.first[m]));
+  if (guided)
+    for (std::size_t m = 0; m < met.size(); ++m)
+      guided->weigh(hits[met[m]],
+                    std::span(chosen.views).subspan(chosen.first[m], chosen.first[m + 1] - chosen.first[m]));
   if (settings.matte) {
     // Each view counts as far as it is covered: what the views add up to is then premultiplied by their coverage.
     for (std::size_t m = 0; m < met.size(); ++m) {

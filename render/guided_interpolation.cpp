@@ -114,6 +114,19 @@ GuidedLighting::GuidedLighting(const ReflectanceFit& fit, const FrameLighting& l
   }
 }
 
+void GuidedLighting::weigh(const SurfaceHit& hit, std::span<ChosenView> chosen) const {
+  double gate = options_.model_alone ? 1 : 0;
+  for (int i = 0; i < hit.count && !options_.model_alone; ++i)
+    gate += double{hit.weight[i]} * double{fit_.points[hit.point[i]].gate};
+  if (!(gate > 0) || chosen.size() < 2) return;
+  // Tried on an independent capture and on own ones: n0 . v_i itself gains 0.2 to 0.5 dB, its square 0.3 to 1.2, its
+  // cube up to 1.5 but loses 1 to 2 where the model lacks what a surface shows at a slant (velvet).
+  double sum = 0;
+  for (ChosenView& view : chosen)
+    sum += view.weight *= lerp(1, view.foreshortening * square(view.foreshortening), gate);
+  for (ChosenView& view : chosen) view.weight /= sum;
+}
+
 void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const {
   hit.query = query;
   PointReflectance& to = hit.reflectance;

@@ -287,6 +287,7 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
       ChosenView& view = chosen.views.emplace_back();
       view.view = static_cast<std::uint32_t>(s.view[i]), view.weight = weight;
       view.angle = all.angle[i], view.penalty = all.penalty[i];
+      view.foreshortening = all.foreshortening[i];
       if (s.fetch[i] == kWhole)
         wholeFetch({all.floor_x[i], all.floor_y[i], all.part_x[i], all.part_y[i]}, view.fetch);
       else

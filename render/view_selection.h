@@ -26,8 +26,9 @@ struct ViewQuery {
 struct ChosenView {
   std::uint32_t view = 0;
   double weight = 0;
-  double angle = 0;    ///< radians between v and the view's direction at p
-  double penalty = 0;  ///< viewPenalty; infinite for one that stands in where no view sees p
+  double angle = 0;           ///< radians between v and the view's direction at p
+  double penalty = 0;         ///< viewPenalty; infinite for one that stands in where no view sees p
+  double foreshortening = 1;  ///< root of n0 . v_i, kept above a little: in the weight
   Fetch fetch;
 };
 
