@@ -10,7 +10,12 @@
 #include <optional>
 #include <utility>
 
+#include "base/numeric.h"
+#include "base/parallel.h"
 #include "base/text.h"
+#include "field/srf_folder.h"
+#include "render/light_set.h"
+#include "render/light_weights.h"
 
 namespace srf {
 namespace {
@@ -51,6 +56,11 @@ LightCounts countLights(const Scene& scene) {
   return counts;
 }
 
+std::size_t distantLights(const Scene& scene, const AnimationOptions& options, int frame) {
+  const SrfManifest field = readManifest(options.srf.empty() ? scene.srf : options.srf);
+  return LightSet(scene, field, Reporter::silent()).at(frame).distant.size();
+}
+
 /// The scene with a picture 1 / divisor as wide and high; none where that would be next to nothing, or where a file
 /// holds the camera.
 std::optional<Scene> smaller(const Scene& scene, int divisor) {
@@ -63,27 +73,60 @@ std::optional<Scene> smaller(const Scene& scene, int divisor) {
   return std::nullopt;
 }
 
-/// Seconds of a warm frame, and its hits.
-std::pair<double, double> warmFrame(const Scene& scene, AnimationOptions options, int frame, bool shortcuts) {
-  Reporter quiet(ProgressMode::none, LogLevel::error);
-  options.shortcuts = shortcuts;
-  options.support = false;
-  options.frames = {frame, frame, frame, frame};
-  const auto frames = renderAnimation(scene, options, quiet);
-  double least = frames[1].seconds;
-  for (std::size_t i = 2; i < frames.size(); ++i) least = std::min(least, frames[i].seconds);
-  return {least, static_cast<double>(quiet.counters()["hits"]) / static_cast<double>(frames.size())};
+/// Frames of one scene, rendered with the shortcuts or without to be timed.
+struct TimedFrames {
+  const Scene& scene;
+  AnimationOptions options;
+  double seconds = 0, hits = 0;  ///< of a warm frame, when it was last timed
+
+  TimedFrames(const Scene& of, const AnimationOptions& base, int frame, bool shortcuts) : scene(of), options(base) {
+    options.shortcuts = shortcuts;
+    options.support = false;
+    options.frames = {frame};
+  }
+  /// The mean of as many warm frames as take `least` seconds, going by the last time: what else the machine does then
+  /// slows short frames and long ones alike. A first frame, not counted, fills the cache.
+  void time(double least) {
+    constexpr double kMost = 200;
+    const double count = seconds > 0 ? std::clamp(std::ceil(least / seconds), 1.0, kMost) : 1;
+    options.frames.resize(1 + static_cast<std::size_t>(count), options.frames.front());
+    Reporter quiet(ProgressMode::none, LogLevel::error);
+    const auto frames = renderAnimation(scene, options, quiet);
+    seconds = 0;
+    for (std::size_t i = 1; i < frames.size(); ++i) seconds += frames[i].seconds / count;
+    hits = static_cast<double>(quiet.counters()["hits"]) / static_cast<double>(frames.size());
+  }
+};
+
+/// The median over some rounds of what `factor` makes of the times of `all`, taken in turns.
+template <class Factor>
+double timedInTurns(std::initializer_list<TimedFrames*> all, const Factor& factor) {
+  constexpr int kRounds = 3;
+  double least = 0;
+  for (TimedFrames* frames : all) {
+    frames->time(0);
+    least = std::max(least, frames->seconds);
+  }
+  std::vector<double> factors;
+  for (int round = 0; round < kRounds; ++round) {
+    for (TimedFrames* frames : all) frames->time(least);
+    factors.push_back(factor());
+  }
+  return median(factors);
 }
 
-/// How many times as long as it does a frame of `hits` hits would take without the shortcuts: foretold from two small
-/// pictures without them, by what each hit adds. 0: the picture is too small to tell.
+/// How many times as long as it does a frame of `hits` hits would take without the shortcuts: foretold from a smaller
+/// picture rendered both ways, for what the shortcuts save is the same at every hit. 0: the picture is too small to
+/// tell.
 double promisedFactor(const Scene& scene, const AnimationOptions& options, int frame, double hits) {
-  const auto small = smaller(scene, 4), large = smaller(scene, 2);
-  if (!small || !large) return 0;
-  const auto [seconds_a, hits_a] = warmFrame(*small, options, frame, false);
-  const auto [seconds_b, hits_b] = warmFrame(*large, options, frame, false);
-  const double a_hit = hits_b > hits_a ? std::max(0.0, seconds_b - seconds_a) / (hits_b - hits_a) : 0;
-  return (seconds_b + (hits - hits_b) * a_hit) / warmFrame(scene, options, frame, true).first;
+  constexpr double kEnough = 5000;  // hits a thread
+  const auto small = smaller(scene, static_cast<int>(std::max(2.0, std::sqrt(hits / (kEnough * threadCount())))));
+  if (!small) return 0;
+  TimedFrames general(*small, options, frame, false), shortcut(*small, options, frame, true),
+      whole(scene, options, frame, true);
+  return timedInTurns({&general, &shortcut, &whole}, [&] {
+    return general.hits > 0 ? 1 + (general.seconds - shortcut.seconds) * (hits / general.hits) / whole.seconds : 0;
+  });
 }
 
 }  // namespace
@@ -91,7 +134,8 @@ double promisedFactor(const Scene& scene, const AnimationOptions& options, int f
 double measuredFactor(const Scene& scene, AnimationOptions options, int frame) {
   const Scratch scratch;
   options.output = (scratch.path() / "frame.####.exr").string();
-  return warmFrame(scene, options, frame, false).first / warmFrame(scene, options, frame, true).first;
+  TimedFrames general(scene, options, frame, false), shortcut(scene, options, frame, true);
+  return timedInTurns({&general, &shortcut}, [&] { return general.seconds / shortcut.seconds; });
 }
 
 Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Reporter& reporter) {
@@ -116,6 +160,7 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
   const std::size_t moments = momentsOf(scene.effects, frame).size();
   const double samples = figure("samples_per_pixel");
   const LightCounts lights = countLights(scene);
+  const std::size_t distant = distantLights(scene, options, frame);
   const bool guided = counted("model_values") > 0;
   const Deformation psi = scene.deformation.at(frame);
   const bool still = scene.deformation.none(), rigid = still || (!scene.deformation.movesVertices() && psi.rigid());
@@ -138,17 +183,21 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       still                          ? "the model stays at rest"
       : scene.deformation.constant() ? "every point once, since no key moves it"
                                      : "every point at every frame");
-  const double factor = rigid && !guided && lights.directional + lights.environments > 0
-                            ? promisedFactor(scene, options, frame, counted("hits"))
-                            : 0;
-  add("one orientation for all hits", rigid,
-      still   ? "nothing is deformed"
-      : rigid ? "the deformation is rigid"
-              : "the deformation turns points differently",
-      rigid ? "one vector of light weights" +
+  // Guided, fewer distant lights than kFewestShared are each for itself at every hit.
+  const std::size_t fewest = guided ? FrameLighting::kFewestShared : 1;
+  const bool one = rigid && distant >= fewest;
+  const double factor = one ? promisedFactor(scene, options, frame, counted("hits")) : 0;
+  add("one orientation for all hits", one,
+      !rigid             ? "the deformation turns points differently"
+      : distant == 0     ? "no light is distant"
+      : distant < fewest ? "guided, " + std::to_string(distant) + " distant lights are each for itself"
+      : still            ? "nothing is deformed"
+                         : "the deformation is rigid",
+      !rigid ? "vectors of light weights by orientation"
+      : one  ? "one vector of light weights" +
                   (factor > 0 ? ": " + shortNumber(std::round(10 * factor) / 10) + " times as fast as one for each hit"
                               : "")
-            : "vectors of light weights by orientation",
+            : "",
       shortNumber(counted("light_vectors")) + " vectors");
   if (factor > 0) plan.back()["factor"] = factor;
   add("shared light weights", !rigid && scene.accuracy.light_sharing > 0,

@@ -13,7 +13,7 @@ int main(int argc, char** argv) {
   std::string scene_file;
   std::vector<std::string> overrides;
   AnimationOptions options;
-  program.app().add_option("scene", scene_file, "scene.json, at rest or moved rigidly, plain")->required();
+  program.app().add_option("scene", scene_file, "scene.json, at rest or moved rigidly")->required();
   program.app().add_option("--srf", options.srf, "the field; default: the scene's");
   program.app().add_option("--set", overrides, "/json/pointer=value")->allow_extra_args(false);
   return program.run(argc, argv, [&](Reporter& reporter) {
@@ -29,7 +29,7 @@ int main(int argc, char** argv) {
         return;
       }
     throw badInput(scene_file,
-                   "has no shortcut whose factor explain promises: it needs distant lights, plain "
-                   "interpolation, and no deformation or a rigid one");
+                   "has no shortcut whose factor explain promises: it needs distant lights (nine where guided), and "
+                   "no deformation or a rigid one");
   });
 }

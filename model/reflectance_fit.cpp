@@ -29,6 +29,7 @@ constexpr float kMaterialsApart = 1.5f;      // ratio of their roughnesses at le
 constexpr double kFewestWithLobe = 0.02;     // share of the points at which a lobe pays, for there to be one
 constexpr double kFresnelShare = 0.95;       // of the points have no larger kf than the largest believed ...
 constexpr float kFresnelSpread = 2;          // ... over this
+constexpr double kBrightShare = 0.99;        // of the points are no brighter than a surface that reflects all it gets
 // Of plain's squared error under one light, and of its mean over the lights: more than both together is harm.
 constexpr double kHarm = 1.1, kSlack = 0.05;
 constexpr int kDoubtedLights = 2;  // more in shadow, so that one alone tells little
@@ -239,16 +240,23 @@ void chooseMaterial(const std::vector<Roughness>& materials, PointSamples& sampl
   }
 }
 
+float quantile(std::vector<float>& values, double share) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
 // What the object's points together say of its lobe.
 struct Lobe {
   bool pays = true;                                             // at more points than chance has it
   float most_fresnel = std::numeric_limits<float>::infinity();  // kf that is believed of a point
 };
 
-// A point's own samples seldom come near grazing angles, so its kf alone may be anything; a lobe that pays at few
-// points is a lobe of shadow outlines and bent normals.
+// A point's own samples seldom come near grazing angles, so its kf alone may be anything, at most what reflects all
+// that arrives: 1, or what the brightest points reflect where photographs are on a scale of their own. A lobe that pays
+// at few points is a lobe of shadow outlines and bent normals.
 Lobe findLobe(std::span<SearchPoint> points, const std::vector<Roughness>& materials) {
-  std::vector<float> fresnel(points.size(), -1);
+  std::vector<float> fresnel(points.size(), -1), matt(points.size());
   parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       PointReflectance fitted;
@@ -258,16 +266,15 @@ Lobe findLobe(std::span<SearchPoint> points, const std::vector<Roughness>& mater
         return *std::max_element(fitted.coefficient[term].begin(), fitted.coefficient[term].end());
       };
       if (most(2) > 0 || most(3) > 0) fresnel[i] = most(3);
+      matt[i] = most(0) + most(1);
     }
   });
   std::erase_if(fresnel, [](float kf) { return kf < 0; });
   Lobe lobe;
   lobe.pays = static_cast<double>(fresnel.size()) > kFewestWithLobe * static_cast<double>(points.size());
   if (!lobe.pays) return lobe;
-  const auto at =
-      fresnel.begin() + static_cast<std::ptrdiff_t>(kFresnelShare * static_cast<double>(fresnel.size() - 1));
-  std::nth_element(fresnel.begin(), at, fresnel.end());
-  if (*at > 0) lobe.most_fresnel = kFresnelSpread * *at;
+  const float all = std::max(1.f, quantile(matt, kBrightShare)), believed = quantile(fresnel, kFresnelShare);
+  lobe.most_fresnel = believed > 0 ? std::min(kFresnelSpread * believed, all) : all;
   return lobe;
 }
 

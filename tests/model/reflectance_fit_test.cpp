@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <functional>
 
-#include "tests/support/formula_field.h"
+#include "tests/support/glossy_sphere.h"
 #include "tests/support/test_support.h"
 
 namespace srf {
@@ -45,6 +45,31 @@ TEST(ReflectanceFit, LittleLightOrThatOfFewHiddenLightsIsTakenForShadow) {
   EXPECT_LT(indirectInShadow([](int light) { return light % 6 ? 0 : 0.08; }), 0.05);
   // As much as above, by the blur of an outline.
   EXPECT_LT(indirectInShadow([](int light) { return light % 30 ? 0 : 4.0; }), 0.05);
+}
+
+// Few views and photographs that agree badly leave kf to chance; at a crease, seen at grazing angles, what is too much
+// of it is a white speck.
+TEST(ReflectanceFit, NothingReflectsMoreThanArrives) {
+  const auto fitted = [](double scale) {
+    const test::TemporaryFolder folder;
+    test::FormulaFieldOptions options;
+    options.views = 8, options.lights = 24, options.size = 32, options.subdivision = 3;
+    const test::FormulaField field =
+        test::makeSphereField(folder / "f.srf", options, [&](const Vec3& p, const Vec3& l, const Vec3& v) {
+          const double disagreement = 0.5 * std::sin(97 * p.x + 61 * p.y + 53 * l.y + 43 * v.z);
+          return scale * (1 + disagreement) * test::glossy(p, l, v);
+        });
+    float most = 0;
+    const auto fit = fitReflectance(field.folder, field.manifest, field.model, {}, Reporter::silent());
+    for (const FittedPoint& point : fit->points)
+      for (const float kf : point.reflectance.coefficient[3]) most = std::max(most, kf);
+    return most;
+  };
+  EXPECT_LE(fitted(1), 1);
+  // Photographs on a scale of their own: no more than their brightest points show.
+  const float brighter = fitted(20);
+  EXPECT_GT(brighter, 5);
+  EXPECT_LT(brighter, 20);
 }
 
 }  // namespace
