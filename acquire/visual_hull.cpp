@@ -4,6 +4,7 @@
 #include <cmath>
 #include <memory>
 
+#include "acquire/hull_components.h"
 #include "acquire/mesh_coverage.h"
 #include "acquire/signed_silhouette.h"
 #include "acquire/silhouette_field.h"
@@ -25,7 +26,6 @@ constexpr int kCoarseCells = 96;           // where the views are compared with 
 constexpr double kOutlierGap = 0.05;       // of IoU below the median, at least
 constexpr double kCoveredByOthers = 0.97;  // share of a usual mask that a trial hull must cover
 constexpr double kCarvedTooMuch = 0.95;    // share of a usual mask covered, below which the user is told
-constexpr double kDust = 1e-6;             // of the volume
 constexpr int kSmoothing = 10;             // Taubin steps for the normals
 
 std::string percent(double share) {
@@ -275,28 +275,6 @@ Error nothingLeft(const HullViews& views, const std::optional<Box3>& bounds) {
                       worst + "; check their masks and cameras, or the bounds");
 }
 
-// Components below a millionth of the volume go.
-void dropDust(AcquisitionMesh& mesh, Reporter& reporter) {
-  const auto component = vertexComponents(mesh);
-  if (component.empty()) return;
-  std::vector<double> volume(*std::max_element(component.begin(), component.end()) + 1, 0);
-  const Vec3 center = mesh.bounds().center().raw();
-  double whole = 0;
-  for (const Triangle& t : mesh.triangles) {
-    const Vec3 a = mesh.positions[t[0]].raw() - center, b = mesh.positions[t[1]].raw() - center,
-               c = mesh.positions[t[2]].raw() - center;
-    const double v = dot(a, cross(b, c));
-    volume[component[t[0]]] += v;
-    whole += v;
-  }
-  const auto isDust = [&](const Triangle& t) { return std::fabs(volume[component[t[0]]]) < kDust * whole; };
-  const auto dust = std::count_if(volume.begin(), volume.end(), [&](double v) { return std::fabs(v) < kDust * whole; });
-  if (dust == 0) return;
-  reporter.count("hull.dust", static_cast<std::uint64_t>(dust));
-  std::erase_if(mesh.triangles, isDust);
-  cleanMesh(mesh);
-}
-
 }  // namespace
 
 VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullOptions& options, Reporter& reporter) {
@@ -350,7 +328,9 @@ VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullO
   hull.cell = longestSide(tight) / cells;
   hull.mesh = carve(used, options.tolerance, tight, hull.cell, reporter);
   if (hull.mesh.triangles.empty()) throw nothingLeft(used, options.bounds);
-  dropDust(hull.mesh, reporter);
+  std::vector<Camera<AcquisitionSpace>> cameras;
+  for (const HullView* v : used) cameras.push_back(v->view->camera);
+  dropUnneededComponents(hull.mesh, cameras, reporter);
   // Normals of a smoothed copy: those of the carved surface carry the facets of the cones and the lattice.
   hull.mesh.normals = vertexNormals(smoothed(hull.mesh, kSmoothing));
 

@@ -6,6 +6,7 @@
 #include <functional>
 #include <random>
 
+#include "acquire/hull_components.h"
 #include "acquire/iso_surface.h"
 #include "acquire/signed_silhouette.h"
 #include "base/error.h"
@@ -285,6 +286,42 @@ TEST(VisualHull, TwoBallsAreTwoComponents) {
   expectClosedSurface(hull.mesh, 2, 4);
   test::recordHardCase(32, "two balls: components of the hull, off by",
                        std::fabs(static_cast<double>(meshTopology(hull.mesh).components) - 2), test::atMost(0));
+}
+
+// An octahedron beside what the mesh holds.
+void addOctahedron(AcquisitionMesh& mesh, const Point3& center, double radius) {
+  const auto first = static_cast<std::uint32_t>(mesh.positions.size());
+  for (const double r : {radius, -radius})
+    for (const Vector3& axis : {Vector3(r, 0, 0), Vector3(0, r, 0), Vector3(0, 0, r)})
+      mesh.positions.push_back(center + axis);
+  for (const Triangle& t :
+       {Triangle{0, 1, 2}, {1, 3, 2}, {3, 4, 2}, {4, 0, 2}, {1, 0, 5}, {3, 1, 5}, {4, 3, 5}, {0, 4, 5}})
+    mesh.triangles.push_back({first + t[0], first + t[1], first + t[2]});
+}
+
+TEST(VisualHull, PiecesThatNoSilhouetteNeedsGo) {
+  const auto towards = [](const Vector3& from) {
+    CameraAt camera;
+    camera.lens = pinholeFromFov(256, 256, 40);
+    camera.pose = *lookAt<Space>(Point3{} + from, {}, {0, 0, 1});
+    return camera;
+  };
+  const std::vector<CameraAt> line{towards({6, 0, 0}), towards({-6, 0, 0})};
+  std::vector<CameraAt> corner = line;
+  corner.push_back(towards({0, 6, 0}));
+  AcquisitionMesh mesh;
+  addOctahedron(mesh, {}, 1);
+  addOctahedron(mesh, {1.5, 0.1, 0}, 0.2);    // before or behind the large one for both cameras of the line
+  addOctahedron(mesh, {0, 1.5, 0.1}, 0.2);    // beside it
+  addOctahedron(mesh, {0.2, 0, 1.2}, 0.005);  // dust
+  const auto componentsLeft = [&](const std::vector<CameraAt>& cameras) {
+    AcquisitionMesh left = mesh;
+    dropUnneededComponents(left, cameras, Reporter::silent());
+    return meshTopology(left).components;
+  };
+  EXPECT_EQ(componentsLeft(line), 2);
+  EXPECT_EQ(componentsLeft(corner), 3);
+  EXPECT_EQ(componentsLeft({line[0]}), 3) << "one picture is no reason to take a piece away";
 }
 
 TEST(VisualHull, ContainsTheObject) {
