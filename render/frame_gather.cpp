@@ -77,8 +77,12 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   }
 
   std::vector<std::size_t> met;
-  for (std::size_t i = 0; i < hits.size(); ++i)
-    if (hits[i].count > 0) met.push_back(i);
+  if (plan.sparse && !layers && !explained) {
+    divideHits(camera, pixels, hits, met, out.between);
+  } else {
+    for (std::size_t i = 0; i < hits.size(); ++i)
+      if (hits[i].count > 0) met.push_back(i);
+  }
   thread_local std::vector<LookUp> look_up_memory;  // likewise
   if (look_up_memory.size() < met.size()) look_up_memory.resize(met.size());
   const std::span<LookUp> look_ups(look_up_memory.data(), met.size());
