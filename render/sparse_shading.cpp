@@ -11,7 +11,7 @@ namespace {
 // of their distance at rest. It leaves out creases, outlines and the last few pixels before an outline.
 constexpr double kFlat = 0.25;
 
-bool flat(const Camera<ObjectSpace>& camera, const SurfaceHit& a, const SurfaceHit& middle, const SurfaceHit& b) {
+bool flat(const Camera<ObjectSpace>& camera, const MetPlace& a, const MetPlace& middle, const MetPlace& b) {
   const double bend = std::fabs(middle.distance - 0.5 * (a.distance + b.distance));
   if (!(bend <= kFlat * camera.pixelFootprint(middle.distance))) return false;
   const Vector<AcquisitionSpace> across = b.p0 - a.p0, off = (middle.p0 - a.p0) - 0.5 * across;
@@ -27,8 +27,7 @@ static_assert(onLattice(0) && onLattice(kPixelBlock - 1) && kPixelBlock % 2 == 0
 }  // namespace
 
 void divideHits(const Camera<ObjectSpace>& camera, std::span<const std::uint32_t> pixels,
-                std::span<const SurfaceHit> hits, std::vector<std::size_t>& shaded,
-                std::vector<PixelBetween>& between) {
+                std::span<const MetPlace> hits, std::vector<std::size_t>& shaded, std::vector<PixelBetween>& between) {
   constexpr int kSide = kPixelBlock, kNone = -1;
   const auto width = static_cast<std::uint32_t>(camera.lens.width);
   std::array<int, kSide * kSide> at, target;  // by place in the block
@@ -37,10 +36,10 @@ void divideHits(const Camera<ObjectSpace>& camera, std::span<const std::uint32_t
   for (std::size_t i = 0; i < hits.size(); ++i) {
     const std::uint32_t row = pixels[i] / width, x = pixels[i] - row * width;
     cell_of[i] = static_cast<std::uint8_t>(row % kSide * kSide + x % kSide);
-    if (hits[i].count > 0) at[cell_of[i]] = static_cast<int>(i);
+    if (hits[i].met) at[cell_of[i]] = static_cast<int>(i);
   }
   for (std::size_t i = 0; i < hits.size(); ++i) {
-    if (hits[i].count == 0) continue;
+    if (!hits[i].met) continue;
     const int cell = cell_of[i], x = cell % kSide, y = cell / kSide;
     PixelBetween pixel{pixels[i], 0, {}};
     const auto addPair = [&](int step) {
