@@ -128,9 +128,9 @@ TEST_F(FrameRendererTest, SparseShadingTakesTheMeanOfNeighboursWhereTheSurfaceIs
   DeformedModel deformed(field_->model);
   deformed.deform(twist());
   Reporter every_counted(ProgressMode::none, LogLevel::error), counted(ProgressMode::none, LogLevel::error);
-  const auto picture = [&](const FrameSettings& settings, Reporter& reporter) {
+  const auto picture = [&](const FrameSettings& settings, Reporter& reporter, const FrameEffects& effects = {}) {
     FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings, reporter);
-    return renderer.render(camera(160), deformed, lights()).rgba;
+    return renderer.render(camera(160), deformed, lights(), effects).rgba;
   };
   FrameSettings settings;
   const ImageF every = picture(settings, every_counted);
@@ -169,6 +169,13 @@ TEST_F(FrameRendererTest, SparseShadingTakesTheMeanOfNeighboursWhereTheSurfaceIs
   EXPECT_GT(between, inside / 2);
   EXPECT_EQ(counted.counters()["hits"] + counted.counters()["pixels.between"], every_counted.counters()["hits"]);
   EXPECT_LT(squares / (3.0 * inside), 1e-4) << "40 dB of white";
+  // With a ground, here one that is not seen, hits are divided after their blend: by distances in double.
+  FrameEffects effects;
+  effects.ground = GroundPlane{9};
+  const ImageF with_ground = picture(settings, Reporter::silent(), effects);
+  int others = 0;
+  for (std::size_t i = 0; i < got.data().size(); i += 4) others += with_ground.data()[i + 1] != got.data()[i + 1];
+  EXPECT_LT(others, inside / 1000);
   FrameSettings plain;
   plain.samples = settings.samples = 4;
   EXPECT_EQ(render(settings).rgba.data(), render(plain).rgba.data()) << "of several samples a pixel all are shaded";
