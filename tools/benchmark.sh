@@ -43,7 +43,8 @@ fi
   echo
   echo "The last column is the picture's difference from the one at the first row's setting. With \`\"shading\": \"sparse\"\` every second row and column of a block of"
   echo "16 x 16 pixels is shaded, and its borders: a third of the pixels; where the surface runs on smoothly the others take the mean of those about them. Outlines,"
-  echo "creases and what lies within a few pixels of them are shaded as ever; with several samples a pixel, or where layers are asked for, everything is. With two"
+  echo "creases and what lies within a few pixels of them are shaded as ever; what is finer than two pixels, edges of shadows and small highlights, is blurred to that."
+  echo "With several samples a pixel, or where layers are asked for, everything is shaded, and \`srf explain --pixel\` shades the pixel that it is asked for. With two"
   echo 'views and light weights shared over 8 degrees that makes a preview: `--set /accuracy/views=2 --set /accuracy/light_sharing=8 --set '"'"'/accuracy/shading="sparse"'"'"'`.'
   echo
   echo "| setting | ms a frame, median (least .. most) | frames a second | over the sum of the limits | difference |"
