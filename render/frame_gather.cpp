@@ -48,14 +48,51 @@ void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView&
   }
 }
 
+namespace {
+
+/// The rays of a block that are shaded, and memory of choosing them.
+struct SparseRays {
+  std::vector<MetPlace> places;
+  std::vector<std::size_t> shaded;
+  PixelRays rays;
+};
+
+/// Leaves in `met` what the shaded rays met of a mesh.
+void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model, const PixelRays& in, RaysMet& met,
+                SparseRays& out, std::vector<PixelBetween>& between) {
+  out.places.clear();
+  for (const TriangleHit& hit : met.triangles) {
+    if (!hit.hit()) {
+      out.places.push_back({false, 0, {}});
+      continue;
+    }
+    const auto& [a, b, c] = model.triangles[hit.triangle];
+    const double b1 = hit.b1, b2 = hit.b2;
+    out.places.push_back(
+        {true, hit.distance, model.p0[a] + (b1 * (model.p0[b] - model.p0[a]) + b2 * (model.p0[c] - model.p0[a]))});
+  }
+  out.shaded.clear();
+  divideHits(camera, in.pixel, out.places, out.shaded, between);
+  out.rays.rays.clear(), out.rays.pixel.clear();
+  for (std::size_t i = 0; i < out.shaded.size(); ++i) {  // in rising order
+    const std::size_t from = out.shaded[i];
+    out.rays.rays.push_back(in.rays[from]);
+    out.rays.pixel.push_back(in.pixel[from]);
+    met.triangles[i] = met.triangles[from];
+  }
+  met.triangles.resize(out.shaded.size());
+}
+
+}  // namespace
+
 void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, PixelBlock& out, Layers* layers,
                                   std::vector<ExplainedHit>* explained) const {
   const Camera<ObjectSpace>& camera = plan.camera;
   const DeformedModel& deformed = plan.deformed;
   const GuidedLighting* guided = plan.guided ? &*plan.guided : nullptr;
   const int width = camera.lens.width;
-  const std::vector<Ray<ObjectSpace>>& rays = in.rays;
-  const std::vector<std::uint32_t>& pixels = in.pixel;
+  std::span<const Ray<ObjectSpace>> rays = in.rays;
+  std::span<const std::uint32_t> pixels = in.pixel;
   using Clock = std::chrono::steady_clock;
   auto clock = Clock::now();
   const auto lap = [&](GatherStage stage) {
@@ -63,12 +100,20 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     out.seconds[stage] += std::chrono::duration<double>(now - clock).count();
     clock = now;
   };
-  thread_local std::vector<SurfaceHit> hit_memory;  // large, and all of a hit is written
-  if (hit_memory.size() < rays.size()) hit_memory.resize(rays.size());
-  const std::span<SurfaceHit> hits(hit_memory.data(), rays.size());
-  thread_local RaysMet rays_met;   // likewise
+  thread_local RaysMet rays_met;   // large, and all of it is written
   deformed.trace(rays, rays_met);  // M10
   lap(kTrace);
+  // Without a ground, which wants to know of every ray, triangles that are not shaded need not be blended.
+  const bool sparse = plan.sparse && !layers && !explained;
+  const bool before_blend = sparse && !plan.ground && deformed.model().kind == ModelKind::mesh;
+  thread_local SparseRays fewer;  // likewise
+  if (before_blend) {
+    keepShaded(camera, deformed.model(), in, rays_met, fewer, out.between);
+    rays = fewer.rays.rays, pixels = fewer.rays.pixel;
+  }
+  thread_local std::vector<SurfaceHit> hit_memory;  // likewise
+  if (hit_memory.size() < rays.size()) hit_memory.resize(rays.size());
+  const std::span<SurfaceHit> hits(hit_memory.data(), rays.size());
   deformed.blend(rays, rays_met, hits);
   lap(kHits);
   if (plan.ground) {
@@ -77,8 +122,14 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   }
 
   std::vector<std::size_t> met;
-  for (std::size_t i = 0; i < hits.size(); ++i)
-    if (hits[i].count > 0) met.push_back(i);
+  if (sparse && !before_blend) {
+    fewer.places.clear();
+    for (const SurfaceHit& hit : hits) fewer.places.push_back({hit.count > 0, hit.distance, hit.p0});
+    divideHits(camera, pixels, fewer.places, met, out.between);
+  } else {
+    for (std::size_t i = 0; i < hits.size(); ++i)
+      if (hits[i].count > 0) met.push_back(i);
+  }
   thread_local std::vector<LookUp> look_up_memory;  // likewise
   if (look_up_memory.size() < met.size()) look_up_memory.resize(met.size());
   const std::span<LookUp> look_ups(look_up_memory.data(), met.size());

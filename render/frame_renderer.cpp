@@ -141,6 +141,7 @@ FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& fra
       deformed(deformed_model),
       lens(effects.lens),
       pattern(samplePattern(samplesOf(state.settings, frame_camera, deformed_model))),
+      sparse(state.settings.accuracy.sparse_shading && pattern.size() == 1),
       cover(effects.lens || effects.ground ? ScreenCover() : ScreenCover(frame_camera, deformed_model)),
       lighting(frame_lights, state.lists, lightingOptions(state, deformed_model, frame_lights)) {
   for (std::size_t v = 0; v < state.stores.size(); ++v)
@@ -252,14 +253,22 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
           for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
           sum[3] += batch[b].alpha.empty() ? 1 : batch[b].alpha[t];
         }
+        for (const PixelBetween& between : batch[b].between) {
+          auto& sum = sums[between.pixel];
+          for (int n = 0; n < between.count; ++n) {
+            const auto& neighbour = sums[batch[b].pixel[between.neighbour[n]]];
+            for (int c = 0; c < 4; ++c) sum[c] += neighbour[c] / between.count;
+          }
+        }
         for (const GroundSample& sample : batch[b].ground)
           for (int c = 0; c < 4; ++c) sums[sample.pixel][c] += sample.rgba[c];
       }
     });
     lap("resolve");
     std::uint64_t collapsed = 0, not_seen = 0, no_view = 0, shadow_rays = 0, model_values = 0, ground_rays = 0,
-                  ground_samples = 0, not_told = 0;
+                  ground_samples = 0, not_told = 0, between = 0;
     for (std::size_t b = 0; b < batch.size(); ++b) {
+      between += batch[b].between.size();
       hit_count += shading[b].targets;
       operation_count += shading[b].operations.size();
       vector_count += shading[b].lights.weights.size();
@@ -276,6 +285,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     if (collapsed) s.reporter.count("frame.collapsed", collapsed);
     if (not_seen) s.reporter.count("hits.no_visible_view", not_seen);
     if (no_view) s.reporter.count("hits.no_view", no_view);
+    if (between) s.reporter.count("pixels.between", between);
     if (ground_rays) s.reporter.count("ground.shadow_rays", ground_rays);
     if (ground_samples) s.reporter.count("ground.samples", ground_samples);
     if (shadow_rays) s.reporter.count("shadow_rays", shadow_rays);

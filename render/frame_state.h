@@ -17,6 +17,7 @@
 #include "render/pixel_rays.h"
 #include "render/screen_cover.h"
 #include "render/shared_stand_ins.h"
+#include "render/sparse_shading.h"
 #include "render/view_selection.h"
 
 namespace srf {
@@ -34,8 +35,9 @@ struct PixelBlock {
   std::vector<std::uint32_t> pixel;           ///< of each target
   std::vector<std::array<double, 3>> guided;  ///< of each target: what the model gives and takes; empty: plain
   std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
-  std::vector<GroundSample> ground;  ///< where a ground is asked for
-  std::vector<double> alpha;         ///< of each target, where a matte is asked for; else each is 1
+  std::vector<PixelBetween> between;  ///< neighbours are targets
+  std::vector<GroundSample> ground;   ///< where a ground is asked for
+  std::vector<double> alpha;          ///< of each target, where a matte is asked for; else each is 1
   std::uint64_t shadow_rays = 0, model_values = 0, ground_rays = 0, shadows_not_told = 0;
   FrameSupport support;
   std::array<double, kGatherStages.size()> seconds{};  ///< of each of them
@@ -43,7 +45,7 @@ struct PixelBlock {
   std::size_t bytes() const {
     return shading.operations.capacity() * (sizeof(ShadingOperation) + sizeof(Rgb)) + shading.lights.bytes() +
            pixel.capacity() * sizeof(std::uint32_t) + guided.capacity() * sizeof(guided.front()) +
-           ground.capacity() * sizeof(GroundSample);
+           between.capacity() * sizeof(PixelBetween) + ground.capacity() * sizeof(GroundSample);
   }
 };
 
@@ -98,6 +100,7 @@ struct FramePlan {
   const DeformedModel& deformed;
   std::optional<ThinLens> lens;  ///< none: a pinhole
   std::vector<Vec2> pattern;     ///< samples of a pixel
+  bool sparse;                   ///< Accuracy::sparse_shading, of one sample a pixel
   ScreenCover cover;
   FrameLighting lighting;
   std::optional<GuidedLighting> guided;  ///< none where nothing guides

@@ -110,7 +110,7 @@ SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) 
 }
 
 Accuracy readAccuracy(const JsonNode& node) {
-  node.onlyKeys({"views", "lights", "frame", "light_sharing", "min_distance", "texels", "shadow_rays"});
+  node.onlyKeys({"views", "lights", "frame", "light_sharing", "min_distance", "texels", "shading", "shadow_rays"});
   Accuracy accuracy;
   if (const auto views = node.find("views")) accuracy.views = static_cast<int>(views->integer(1, 64));
   if (const auto lights = node.find("lights")) accuracy.lights = static_cast<int>(lights->integer(1, 64));
@@ -124,6 +124,7 @@ Accuracy readAccuracy(const JsonNode& node) {
       throw texels->error("found " + std::to_string(accuracy.texels) +
                           ", expected 0 (the photographs as they are) or at least 1.5");
   }
+  if (const auto shading = node.find("shading")) accuracy.sparse_shading = shading->choice({"every", "sparse"}) == 1;
   if (const auto rays = node.find("shadow_rays")) accuracy.shadow_rays = static_cast<int>(rays->integer(0, 1000000));
   return accuracy;
 }

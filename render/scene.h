@@ -66,7 +66,9 @@ struct Accuracy {
   double light_sharing = 2;    ///< degrees over which rotated light weights are shared; 0: exact
   double min_distance = 1e-3;  ///< least distance of a point light in A(d), of the object's diameter
   double texels = 2;           ///< of a photograph across a sample before a coarser level of it is taken; 0: never
-  int shadow_rays = 32;        ///< most a hit for environments; of their other lights the captured ones' shadows tell
+  /// Within smooth parts of the surface a third of the pixels are shaded, the others take the mean of those about them.
+  bool sparse_shading = false;
+  int shadow_rays = 32;  ///< most a hit for environments; of their other lights the captured ones' shadows tell
 };
 
 struct Scene {

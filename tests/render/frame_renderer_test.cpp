@@ -124,6 +124,63 @@ TEST_F(FrameRendererTest, TheCoverHoldsEveryPixelThatShowsTheModel) {
   }
 }
 
+TEST_F(FrameRendererTest, SparseShadingTakesTheMeanOfNeighboursWhereTheSurfaceIsSmooth) {
+  DeformedModel deformed(field_->model);
+  deformed.deform(twist());
+  Reporter every_counted(ProgressMode::none, LogLevel::error), counted(ProgressMode::none, LogLevel::error);
+  const auto picture = [&](const FrameSettings& settings, Reporter& reporter, const FrameEffects& effects = {}) {
+    FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings, reporter);
+    return renderer.render(camera(160), deformed, lights(), effects).rgba;
+  };
+  FrameSettings settings;
+  const ImageF every = picture(settings, every_counted);
+  settings.accuracy.sparse_shading = true;
+  setThreadCount(1);
+  const ImageF got = picture(settings, counted);
+  setThreadCount(3);
+  settings.memory_bytes = 1 << 16;
+  EXPECT_EQ(picture(settings, Reporter::silent()).data(), got.data()) << "by threads and memory";
+  setThreadCount(0);
+  int inside = 0, between = 0;
+  double squares = 0;
+  for (int y = 0; y < got.height(); ++y)
+    for (int x = 0; x < got.width(); ++x) {
+      ASSERT_EQ(got.at(x, y, 3), every.at(x, y, 3)) << "the outline, at " << x << " " << y;
+      if (every.at(x, y, 3) == 0) continue;
+      ++inside;
+      bool same = true;
+      for (int c = 0; c < 3; ++c) {
+        same = same && got.at(x, y, c) == every.at(x, y, c);
+        squares += square(got.at(x, y, c) - every.at(x, y, c));
+      }
+      if (same) continue;
+      ++between;
+      double least = 1;  // from the mean of some pairs on opposite sides
+      for (const auto& pairs :
+           {std::vector<std::array<int, 2>>{{1, 0}}, {{0, 1}}, {{1, 1}}, {{1, -1}}, {{1, 1}, {1, -1}}}) {
+        double mean = 0;
+        for (const auto& [dx, dy] : pairs)
+          mean +=
+              (every.at(x - dx, y - dy, 1) + every.at(x + dx, y + dy, 1)) / (2.0 * static_cast<double>(pairs.size()));
+        least = std::min(least, std::fabs(got.at(x, y, 1) - mean));
+      }
+      EXPECT_LT(least, 1e-6) << "at " << x << " " << y;
+    }
+  EXPECT_GT(between, inside / 2);
+  EXPECT_EQ(counted.counters()["hits"] + counted.counters()["pixels.between"], every_counted.counters()["hits"]);
+  EXPECT_LT(squares / (3.0 * inside), 1e-4) << "40 dB of white";
+  // With a ground, here one that is not seen, hits are divided after their blend: by distances in double.
+  FrameEffects effects;
+  effects.ground = GroundPlane{9};
+  const ImageF with_ground = picture(settings, Reporter::silent(), effects);
+  int others = 0;
+  for (std::size_t i = 0; i < got.data().size(); i += 4) others += with_ground.data()[i + 1] != got.data()[i + 1];
+  EXPECT_LT(others, inside / 1000);
+  FrameSettings plain;
+  plain.samples = settings.samples = 4;
+  EXPECT_EQ(render(settings).rgba.data(), render(plain).rgba.data()) << "of several samples a pixel all are shaded";
+}
+
 TEST_F(FrameRendererTest, SharedLightWeightsStayNearTheExactOnes) {
   FrameSettings settings;
   settings.accuracy.light_sharing = 0;

@@ -58,7 +58,8 @@ TEST_F(SceneTest, EveryKeyArrives) {
   const Scene scene =
       read(kCamera + R"(, "srf": "x.srf", "frames": "3-5", "fps": 30, "output": "a.####.exr", "samples": 4,
     "interpolation": "plain", "effects": {"shadows": "captured"},
-    "accuracy": {"views": 6, "lights": 5, "frame": "polar", "light_sharing": 0, "min_distance": 0.01},
+    "accuracy": {"views": 6, "lights": 5, "frame": "polar", "light_sharing": 0, "min_distance": 0.01,
+                 "shading": "sparse"},
     "deformation": [{"type": "twist", "axis": [0, 0, 1], "degrees_per_unit": {"keys": [[0, 0], [9, 90]]}}],
     "lights": [
       {"type": "point", "position": {"keys": [[0, [0, 0, 1]], [10, [0, 0, 3]]]}, "intensity": [1, 1, 1]},
@@ -74,6 +75,7 @@ TEST_F(SceneTest, EveryKeyArrives) {
   EXPECT_EQ(scene.accuracy.frame, FrameMode::polar);
   EXPECT_EQ(scene.accuracy.light_sharing, 0);
   EXPECT_EQ(scene.accuracy.min_distance, 0.01);
+  EXPECT_TRUE(scene.accuracy.sparse_shading);
   EXPECT_FALSE(scene.deformation.constant());
   ASSERT_EQ(scene.lights.size(), 3u);
   EXPECT_EQ(std::get<PointLight>(scene.lights[0]).position.at(5), (Vec3{0, 0, 2}));
@@ -115,6 +117,7 @@ TEST_F(SceneTest, RefusalsNameThePlaceAndTheMend) {
   EXPECT_REFUSED(refusal(both + R"(, "effects": {"mate": true})"), "/effects/mate", "'matte'");
   EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"shadow_rays": -1})"), "/accuracy/shadow_rays", "from 0");
   EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"views": 0})"), "/accuracy/views", "from 1");
+  EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"shading": "half"})"), "/accuracy/shading", "'sparse'");
   EXPECT_REFUSED(refusal(both + R"(, "accuracy": {"min_distance": 0})"), "/accuracy/min_distance");
   EXPECT_REFUSED(refusal(both + R"(, "frames": "5-3")"), "/frames", "backwards");
   EXPECT_REFUSED(refusal(both + R"(, "frames": 1.5)"), "/frames", "whole number");
