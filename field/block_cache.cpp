@@ -32,7 +32,7 @@ constexpr std::size_t kReaderStack = std::size_t{256} << 10;
 
 struct BlockCache::State {
   struct Entry {
-    std::shared_ptr<const ReflectanceBlock> block;  ///< empty while a thread reads it
+    std::shared_ptr<ReflectanceBlock> block;  ///< empty while a thread reads it
     int pins = 0;
     std::size_t bytes = 0;
     bool wanted = false;                         ///< where it waits while nobody pins it: in `wanted` or in `unpinned`
@@ -63,6 +63,7 @@ struct BlockCache::State {
   std::unordered_map<std::uint64_t, Entry> entries;
   std::list<std::uint64_t> unpinned;              ///< least recently used first; none of them in the plan
   std::map<std::uint32_t, std::uint64_t> wanted;  ///< unpinned ones that the plan wants, by position there
+  std::shared_ptr<ReflectanceBlock> dropped;      ///< let go for the block that is read next, which takes its memory
   std::unordered_map<std::thread::id, int> held;
   std::vector<std::vector<bool>> read_before;
   CacheStatistics statistics;
@@ -106,6 +107,8 @@ struct BlockCache::State {
   void drop(std::uint64_t key) {
     const auto it = entries.find(key);
     used -= it->second.bytes;
+    if (it->second.block && it->second.block.use_count() == 1 && it->second.block->rank == 0)
+      dropped = std::move(it->second.block);
     entries.erase(it);
   }
   /// Whether `bytes` may be added now, after everything that is not in use has been let go as far as needed. A thread
@@ -314,6 +317,7 @@ BlockCache::Handle BlockCache::get(ViewId view, std::uint32_t tile) {
   s.statistics.reread += s.read_before[view.value][tile];
   s.read_before[view.value][tile] = true;
   s.statistics.peak_bytes = std::max<std::uint64_t>(s.statistics.peak_bytes, s.used);
+  std::shared_ptr<ReflectanceBlock> block = std::move(s.dropped);
   std::shared_ptr<State::Request> request;
   if (const auto it = s.requested.find(key); it != s.requested.end()) {
     request = it->second;
@@ -327,7 +331,7 @@ BlockCache::Handle BlockCache::get(ViewId view, std::uint32_t tile) {
   const ReflectanceStore::Place place = store.place(tile);
   double waited = secondsSince(start);
   try {
-    const auto block = std::make_shared<ReflectanceBlock>();
+    if (!block) block = std::make_shared<ReflectanceBlock>();
     if (request) {
       if (request->failure) std::rethrow_exception(request->failure);
       store.decode(tile, request->bytes.subspan(place.offset - request->place.offset, place.bytes), *block);
@@ -337,6 +341,7 @@ BlockCache::Handle BlockCache::get(ViewId view, std::uint32_t tile) {
       waited = secondsSince(start);
       store.decode(tile, bytes, *block);
     }
+    if (block->rank > 0) block->halves.shrink_to_fit();  // it may have had another's memory
     lock.lock();
     s.statistics.bytes_read += place.bytes;
     s.statistics.seconds_waiting += waited;

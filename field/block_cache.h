@@ -52,8 +52,8 @@ class BlockCache {
 
    private:
     friend class BlockCache;
-    std::shared_ptr<const ReflectanceBlock> block_;
     std::shared_ptr<void> pin_;
+    std::shared_ptr<const ReflectanceBlock> block_;  // goes first: a block that nobody pins is nobody else's
   };
   /// Says which blocks will be asked for next, as keys in that order; a key that is named n times will be asked for n
   /// times. What an earlier plan had read ahead stays where this one wants it too.

@@ -20,8 +20,8 @@ constexpr double kLargestStep = 30000;  // of a coefficient, in steps
 struct StoredHeader {
   std::uint8_t rank, reserved[3];
 };
-/// Of one component, before its basis vector and its coefficients.
-struct StoredComponent {
+/// Of one component in stores before version 3, before its basis vector and its coefficients.
+struct ShuffledComponent {
   float scale;                ///< of the basis vector, whose largest entry is 1 or -1
   std::uint32_t differences;  ///< 1: coefficients as differences to the texel above (first row: to the left)
 };
@@ -30,25 +30,50 @@ int rankPad(int rank) {
   return (rank + kRankGroup - 1) / kRankGroup * kRankGroup;
 }
 
-/// The coefficient that a stored difference refers to; the same channel of another texel.
-int before(int row) {
-  const int texel = row / 3;
-  if (texel >= kTile) return row - 3 * kTile;
-  return texel > 0 ? row - 3 : -1;
-}
-
-// Small numbers of either sign become small numbers.
-std::uint16_t folded(std::int16_t value) {
-  return static_cast<std::uint16_t>((value << 1) ^ (value >> 15));
-}
+// Small numbers of either sign were kept as small numbers.
 std::int16_t unfolded(std::uint16_t value) {
   return static_cast<std::int16_t>((value >> 1) ^ -(value & 1));
 }
 
-// Bytes of a stored block of that rank.
-std::size_t storedBytes(const StoreGeometry& g, int rank) {
-  return sizeof(StoredHeader) +
-         rank * (sizeof(StoredComponent) + 2 * static_cast<std::size_t>(g.light_count) + 2 * kRows);
+/// Coefficients are kept as a block of so many lights.
+StoreGeometry coefficientGeometry(int rank) {
+  return {kTile, kTile, 0, 0, 1, 1, rank};
+}
+static_assert(kRankGroup == kLightGroup);
+
+std::size_t basisBytes(const StoreGeometry& g, int rank) {
+  return sizeof(StoredHeader) + rank * (sizeof(float) + 2 * static_cast<std::size_t>(g.light_count));
+}
+
+/// False where a block of this geometry has no such rank.
+bool begin(const StoreGeometry& g, int rank, ReflectanceBlock& block) {
+  block.rank = rank;
+  block.pad = rankPad(rank);
+  if (rank < 1 || block.pad > g.lightPad()) return false;
+  block.halves.assign(static_cast<std::size_t>(kRows) * block.pad, 0);
+  block.basis.assign(static_cast<std::size_t>(g.light_count) * block.pad, 0.f);
+  return true;
+}
+/// Sets vector k of the basis from the halves at `from`; false where a number is not finite.
+bool setVector(const StoreGeometry& g, int k, float scale, const std::byte* from, ReflectanceBlock& block) {
+  if (!std::isfinite(scale)) return false;
+  std::vector<std::uint16_t> halves(g.lightPad(), 0);
+  std::vector<float> vector(halves.size());
+  std::memcpy(halves.data(), from, 2 * static_cast<std::size_t>(g.light_count));
+  floatsFromHalves(halves.data(), vector.data(), static_cast<int>(vector.size()));
+  for (int j = 0; j < g.light_count; ++j) {
+    const float basis = vector[j] * scale;
+    if (!std::isfinite(basis)) return false;
+    block.basis[static_cast<std::size_t>(j) * block.pad + k] = basis;
+  }
+  return true;
+}
+void findLit(const StoreGeometry& g, ReflectanceBlock& block) {
+  block.lit.clear();
+  for (int j = 0; j < g.light_count; ++j) {
+    const auto row = block.basis.begin() + static_cast<std::ptrdiff_t>(j) * block.pad;
+    if (std::any_of(row, row + block.rank, [](float value) { return value != 0; })) block.lit.push_back(j);
+  }
 }
 
 /// Share of the median singular value above which one is more signal than noise, for a matrix whose shorter side is
@@ -101,7 +126,7 @@ std::optional<CompressedBlock> compressBlock(const StoreGeometry& g, std::span<c
   double left = all;
   int rank = 0;
   while (rank < most && (rank == 0 || (left > error * error * all && energy(rank) > threshold))) left -= energy(rank++);
-  if (2 * storedBytes(g, rank) > g.blockBytes()) return std::nullopt;
+  if (2 * (basisBytes(g, rank) + 2 * static_cast<std::size_t>(rank) * kRows) > g.blockBytes()) return std::nullopt;
 
   Eigen::MatrixXd components(lights, rank);  // orthonormal columns
   for (int k = 0; k < rank; ++k) {
@@ -119,38 +144,24 @@ std::optional<CompressedBlock> compressBlock(const StoreGeometry& g, std::span<c
 
   CompressedBlock result;
   std::vector<std::byte>& stored = result.stored;
-  stored.resize(storedBytes(g, rank));
-  std::byte* at = stored.data();
-  const auto put = [&](const void* data, std::size_t bytes) {
-    std::memcpy(at, data, bytes);
-    at += bytes;
+  const auto put = [&](const auto& value) {
+    const auto* const bytes = reinterpret_cast<const std::byte*>(&value);
+    stored.insert(stored.end(), bytes, bytes + sizeof value);
   };
-  put(std::vector<StoredHeader>{{static_cast<std::uint8_t>(rank), {}}}.data(), sizeof(StoredHeader));
-  std::vector<std::uint16_t> codes(static_cast<std::size_t>(rank) * kRows);
+  put(StoredHeader{static_cast<std::uint8_t>(rank), {}});
+  std::vector<std::uint16_t> whole(static_cast<std::size_t>(kRows) * rankPad(rank), 0);
   for (int k = 0; k < rank; ++k) {
     const Eigen::VectorXd vector = components.col(k).cwiseProduct(deviation) * step;
     const double scale = std::max(vector.cwiseAbs().maxCoeff(), 1e-30);
-    std::vector<std::int16_t> whole(kRows, 0);
-    for (int i = 0; i < n; ++i) whole[rows[i]] = static_cast<std::int16_t>(std::lround(coefficients(i, k) / step));
-    double plain = 0, differing = 0;  // sizes of the codes, about
-    for (int row = 0; row < kRows; ++row) {
-      const double other = before(row) < 0 ? 0 : whole[before(row)];
-      plain += std::log2(1 + std::abs(whole[row]));
-      differing += std::log2(1 + std::fabs(whole[row] - other));
-    }
-    const StoredComponent head{static_cast<float>(scale), differing < plain};
-    put(&head, sizeof head);
-    for (int j = 0; j < lights; ++j) {
-      const std::uint16_t half = halfFromFloat(static_cast<float>(vector[j] / scale));
-      put(&half, sizeof half);
-    }
-    for (int row = 0; row < kRows; ++row) {
-      const int other = head.differences && before(row) >= 0 ? whole[before(row)] : 0;
-      codes[static_cast<std::size_t>(k) * kRows + row] = folded(static_cast<std::int16_t>(whole[row] - other));
-    }
+    put(static_cast<float>(scale));
+    for (int j = 0; j < lights; ++j) put(halfFromFloat(static_cast<float>(vector[j] / scale)));
+    for (int i = 0; i < n; ++i)
+      whole[static_cast<std::size_t>(rows[i]) * rankPad(rank) + k] =
+          static_cast<std::uint16_t>(static_cast<std::int16_t>(std::lround(coefficients(i, k) / step)));
   }
-  for (const std::uint16_t code : codes) *at++ = static_cast<std::byte>(code);
-  for (const std::uint16_t code : codes) *at++ = static_cast<std::byte>(code >> 8);
+  std::vector<std::byte> packed;
+  packBlock(coefficientGeometry(rank), whole.data(), packed);
+  stored.insert(stored.end(), packed.begin(), packed.end());
   unpackCompressed(g, stored, result.block);
   return result;
 }
@@ -159,54 +170,57 @@ bool unpackCompressed(const StoreGeometry& g, std::span<const std::byte> stored,
   StoredHeader header;
   if (stored.size() < sizeof header) return false;
   std::memcpy(&header, stored.data(), sizeof header);
-  const int rank = header.rank, lights = g.light_count;
-  if (rank < 1 || stored.size() != storedBytes(g, rank)) return false;
-  block.rank = rank;
-  block.pad = rankPad(rank);
-  block.halves.assign(static_cast<std::size_t>(kRows) * block.pad, 0);
-  block.basis.assign(static_cast<std::size_t>(lights) * block.pad, 0.f);
+  if (!begin(g, header.rank, block) || stored.size() < basisBytes(g, block.rank)) return false;
   const std::byte* at = stored.data() + sizeof header;
-  const std::byte* low = stored.data() + stored.size() - 2 * static_cast<std::size_t>(rank) * kRows;
+  for (int k = 0; k < block.rank; ++k) {
+    float scale = 0;
+    std::memcpy(&scale, at, sizeof scale);
+    if (!setVector(g, k, scale, at + sizeof scale, block)) return false;
+    at += sizeof scale + 2 * static_cast<std::size_t>(g.light_count);
+  }
+  if (!unpackBlock(coefficientGeometry(block.rank), stored.subspan(basisBytes(g, block.rank)), block.halves.data()))
+    return false;
+  for (std::size_t i = 0; i < block.halves.size(); i += kRankGroup) {
+    float values[kRankGroup];
+    for (int k = 0; k < kRankGroup; ++k) values[k] = static_cast<std::int16_t>(block.halves[i + k]);
+    halvesFromFloats(values, &block.halves[i], kRankGroup);  // exact up to 2048 steps
+  }
+  findLit(g, block);
+  return true;
+}
+
+bool unpackShuffledCompressed(const StoreGeometry& g, std::span<const std::byte> stored, ReflectanceBlock& block) {
+  StoredHeader header;
+  if (stored.size() < sizeof header) return false;
+  std::memcpy(&header, stored.data(), sizeof header);
+  const int rank = header.rank;
+  const std::size_t vector_bytes = sizeof(ShuffledComponent) + 2 * static_cast<std::size_t>(g.light_count);
+  if (stored.size() != sizeof header + rank * (vector_bytes + 2 * kRows) || !begin(g, rank, block)) return false;
+  const std::byte* at = stored.data() + sizeof header;
+  const std::byte* low = at + rank * vector_bytes;
   const std::byte* high = low + static_cast<std::size_t>(rank) * kRows;
   std::int16_t whole[kRows];
   float values[kRows];
   std::uint16_t coefficients[kRows];
-  std::vector<std::uint16_t> halves(g.lightPad(), 0);
-  std::vector<float> vector(halves.size());
   constexpr int kWide = 3 * kTile;  // a row of texels
-  for (int k = 0; k < rank; ++k, low += kRows, high += kRows) {
-    StoredComponent head;
+  for (int k = 0; k < rank; ++k, at += vector_bytes, low += kRows, high += kRows) {
+    ShuffledComponent head;
     std::memcpy(&head, at, sizeof head);
-    at += sizeof head;
-    if (!std::isfinite(head.scale)) return false;
-    std::memcpy(halves.data(), at, 2 * static_cast<std::size_t>(lights));
-    at += 2 * static_cast<std::size_t>(lights);
-    floatsFromHalves(halves.data(), vector.data(), static_cast<int>(vector.size()));
-    for (int j = 0; j < lights; ++j) {
-      const float basis = vector[j] * head.scale;
-      if (!std::isfinite(basis)) return false;
-      block.basis[static_cast<std::size_t>(j) * block.pad + k] = basis;
-    }
-    for (int row = 0; row < kRows; ++row) {
-      const auto code =
-          static_cast<std::uint16_t>(static_cast<unsigned>(low[row]) | static_cast<unsigned>(high[row]) << 8);
-      whole[row] = unfolded(code);
-    }
+    if (!setVector(g, k, head.scale, at + sizeof head, block)) return false;
+    for (int row = 0; row < kRows; ++row)
+      whole[row] =
+          unfolded(static_cast<std::uint16_t>(static_cast<unsigned>(low[row]) | static_cast<unsigned>(high[row]) << 8));
     if (head.differences) {
       for (int row = 3; row < kWide; ++row) whole[row] = static_cast<std::int16_t>(whole[row] + whole[row - 3]);
       for (std::int16_t* to = whole + kWide; to < whole + kRows; to += kWide)
         for (int i = 0; i < kWide; ++i) to[i] = static_cast<std::int16_t>(to[i] + to[i - kWide]);
     }
     for (int row = 0; row < kRows; ++row) values[row] = whole[row];
-    halvesFromFloats(values, coefficients, kRows);  // exact up to 2048 steps
+    halvesFromFloats(values, coefficients, kRows);
     for (int row = 0; row < kRows; ++row)
       block.halves[static_cast<std::size_t>(row) * block.pad + k] = coefficients[row];
   }
-  block.lit.clear();
-  for (int j = 0; j < lights; ++j) {
-    const auto row = block.basis.begin() + static_cast<std::ptrdiff_t>(j) * block.pad;
-    if (std::any_of(row, row + rank, [](float value) { return value != 0; })) block.lit.push_back(j);
-  }
+  findLit(g, block);
   return true;
 }
 

@@ -38,7 +38,7 @@ void expandBlock(const StoreGeometry& geometry, const ReflectanceBlock& block, s
 /// 2014) hold more of it than of the surface. Coefficients are whole numbers; a step is one standard deviation of what
 /// was left out.
 struct CompressedBlock {
-  std::vector<std::byte> stored;  ///< what unpackCompressed reads; worth packing further
+  std::vector<std::byte> stored;  ///< what unpackCompressed reads
   ReflectanceBlock block;         ///< what it gives
 };
 /// None where the block is empty or a basis would be no smaller than half of the halves.
@@ -46,6 +46,9 @@ std::optional<CompressedBlock> compressBlock(const StoreGeometry& geometry, std:
                                              double error);
 /// False where the bytes are no such block.
 bool unpackCompressed(const StoreGeometry& geometry, std::span<const std::byte> stored, ReflectanceBlock& block);
+/// The same of what stores before version 3 keep, zstd undone.
+bool unpackShuffledCompressed(const StoreGeometry& geometry, std::span<const std::byte> stored,
+                              ReflectanceBlock& block);
 
 /// Lossless: differences of halves to the texel above (first row: to the left), each row of texels under one light in
 /// as many bits as they need (doc/field_format.md).

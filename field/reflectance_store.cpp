@@ -29,9 +29,8 @@ static_assert(std::endian::native == std::endian::little, "files are little-endi
 constexpr char kMagic[8] = {'S', 'R', 'F', 'B', 'L', 'O', 'C', 'K'};
 constexpr std::uint32_t kVersion = 3;  // the header is that of version 2, which has no packed blocks
 constexpr int kZstdLevel = 1;          // level 3 saves nothing here and writes at two thirds of the speed
-constexpr int kZstdPcaLevel = 3;       // of few bytes
 // Packed blocks are read several times faster than those of zstd, which must save so much to be worth it.
-constexpr double kZstdShare = 0.75;
+constexpr double kZstdShare = 0.7;
 constexpr std::uint32_t kBlackBackground = 1;
 
 constexpr std::size_t kDirectUnit = 4096;  // offsets, sizes and addresses of direct reading
@@ -54,7 +53,7 @@ struct Header {
 static_assert(sizeof(Header) == 144);
 constexpr std::size_t kHeaderHash1 = offsetof(Header, compression);
 
-enum class Encoding : std::uint32_t { absent = 0, raw = 1, zstd = 2, pca = 3, packed = 4 };
+enum class Encoding : std::uint32_t { absent = 0, raw = 1, zstd = 2, pca = 3, packed = 4, packed_pca = 5 };
 struct IndexEntry {
   std::uint64_t offset;
   std::uint32_t bytes;
@@ -89,10 +88,10 @@ Zstd& zstd() {
 }
 
 /// Bytes used in z.stored.
-std::size_t compress(Zstd& z, const void* data, std::size_t bytes, int level = kZstdLevel) {
+std::size_t compress(Zstd& z, const void* data, std::size_t bytes) {
   if (!z.pack) z.pack = ZSTD_createCCtx();
   z.stored.resize(ZSTD_compressBound(bytes));
-  const std::size_t n = ZSTD_compressCCtx(z.pack, z.stored.data(), z.stored.size(), data, bytes, level);
+  const std::size_t n = ZSTD_compressCCtx(z.pack, z.stored.data(), z.stored.size(), data, bytes, kZstdLevel);
   SRF_CHECK(!ZSTD_isError(n));  // the bound is large enough, nothing else can go wrong
   return n;
 }
@@ -216,6 +215,7 @@ void ReflectanceStoreWriter::State::write(const TilePlace& at, std::span<const s
   std::size_t bytes = g.blockBytes();
   Encoding encoding = Encoding::raw;
   TileError error;
+  std::vector<std::byte> components;
   if (coding.compression == Compression::pca) {
     if (auto compressed = compressBlock(g, block, coding.error)) {
       if (at.level == 0) {
@@ -223,9 +223,10 @@ void ReflectanceStoreWriter::State::write(const TilePlace& at, std::span<const s
         expandBlock(g, compressed->block, expanded);
         error = differences(block, expanded);
       }
-      bytes = compress(z, compressed->stored.data(), compressed->stored.size(), kZstdPcaLevel);
-      data = z.stored.data();
-      encoding = Encoding::pca;
+      components = std::move(compressed->stored);
+      bytes = components.size();
+      data = components.data();
+      encoding = Encoding::packed_pca;
     }
   }
   if (encoding == Encoding::raw && coding.compression != Compression::none) {
@@ -243,7 +244,7 @@ void ReflectanceStoreWriter::State::write(const TilePlace& at, std::span<const s
       encoding = Encoding::packed;
     }
   }
-  if (encoding != Encoding::pca && at.level == 0) error = differences(block, block);
+  if (encoding != Encoding::packed_pca && at.level == 0) error = differences(block, block);
   std::uint16_t highest = 0;
   for (const std::uint16_t value : block) highest = std::max(highest, value);
   const auto times = static_cast<std::uint64_t>(std::count(block.begin(), block.end(), highest));
@@ -433,7 +434,7 @@ ReflectanceStore::ReflectanceStore(const std::filesystem::path& file, bool direc
   if (h.index_hash != srf::contentHash(s.index.data(), index_bytes))
     throw s.damaged("has an index that does not fit its checksum");
   for (const IndexEntry& e : s.index) {
-    const bool packed = e.encoding == Encoding::zstd || e.encoding == Encoding::pca || e.encoding == Encoding::packed;
+    const bool packed = e.encoding >= Encoding::zstd && e.encoding <= Encoding::packed_pca;
     const bool whole =
         e.encoding == Encoding::absent ||
         (s.inside(e.offset, e.bytes) && (packed || (e.encoding == Encoding::raw && e.bytes == g.blockBytes())));
@@ -533,12 +534,17 @@ void ReflectanceStore::decode(std::uint32_t tile, std::span<const std::byte> sto
   };
   if (stored.size() != e.bytes || e.hash != srf::contentHash(stored.data(), e.bytes, tile))
     throw complain("that does not fit its checksum");
+  if (e.encoding == Encoding::packed_pca) {
+    if (!unpackCompressed(g, stored, out)) throw complain("that cannot be unpacked");
+    return;
+  }
   if (e.encoding == Encoding::pca) {
     Zstd& z = zstd();
     const auto bytes = ZSTD_getFrameContentSize(stored.data(), stored.size());
     if (bytes > g.blockBytes()) throw complain("that cannot be unpacked");  // also where it is not known
     z.plain.resize(bytes);
-    if (!decompress(z, z.plain.data(), bytes, stored.data(), stored.size()) || !unpackCompressed(g, z.plain, out))
+    if (!decompress(z, z.plain.data(), bytes, stored.data(), stored.size()) ||
+        !unpackShuffledCompressed(g, z.plain, out))
       throw complain("that cannot be unpacked");
     return;
   }

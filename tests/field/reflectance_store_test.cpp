@@ -511,13 +511,53 @@ TEST(CompressedBlock, RefusesBytesThatAreNone) {
   bytes.pop_back();
   EXPECT_FALSE(unpackCompressed(g, bytes, block));
   bytes = compressed->stored;
-  bytes[0] = std::byte{0};
-  EXPECT_FALSE(unpackCompressed(g, bytes, block));
+  for (const int rank : {0, 33, 255}) {
+    bytes[0] = static_cast<std::byte>(rank);
+    EXPECT_FALSE(unpackCompressed(g, bytes, block)) << rank;
+  }
   EXPECT_FALSE(unpackCompressed(g, {}, block));
   const float infinite = INFINITY;
   bytes = compressed->stored;
   std::memcpy(&bytes[4], &infinite, sizeof infinite);
   EXPECT_FALSE(unpackCompressed(g, bytes, block));
+}
+
+// As stores before version 3 keep it: folded coefficients, low and high bytes apart.
+TEST(CompressedBlock, IsReadInItsFormerFormToo) {
+  const StoreGeometry g{16, 16, 0, 0, 1, 1, 40};
+  const auto compressed = compressBlock(g, surfaceBlock(g, 0.02, 5), 0.01);
+  ASSERT_TRUE(compressed);
+  const int rank = compressed->block.rank;
+  std::vector<std::byte> former;
+  const auto put = [&](const void* data, std::size_t bytes) {
+    former.insert(former.end(), static_cast<const std::byte*>(data), static_cast<const std::byte*>(data) + bytes);
+  };
+  const std::size_t vector_bytes = 4 + 2 * 40;  // a scale and its halves
+  put(compressed->stored.data(), 4);
+  for (int k = 0; k < rank; ++k) {
+    const std::byte* const vector = &compressed->stored[4 + k * vector_bytes];
+    const std::uint32_t differences = k % 2;
+    put(vector, 4), put(&differences, 4), put(vector + 4, 80);
+  }
+  const auto coefficient = [&](int k, int row) {
+    return static_cast<int>(floatFromHalf(compressed->block.halves[row * compressed->block.pad + k]));
+  };
+  for (const int shift : {0, 8})
+    for (int k = 0; k < rank; ++k)
+      for (int row = 0; row < 768; ++row) {
+        int value = coefficient(k, row);
+        if (k % 2 && row >= 3) value -= coefficient(k, row < 48 ? row - 3 : row - 48);
+        former.push_back(static_cast<std::byte>((value >= 0 ? 2 * value : -2 * value - 1) >> shift));
+      }
+  ReflectanceBlock block;
+  ASSERT_TRUE(unpackShuffledCompressed(g, former, block));
+  EXPECT_EQ(block.halves, compressed->block.halves);
+  EXPECT_EQ(block.basis, compressed->block.basis);
+  EXPECT_EQ(block.lit, compressed->block.lit);
+  former.pop_back();
+  EXPECT_FALSE(unpackShuffledCompressed(g, former, block));
+  former[0] = std::byte{255};
+  EXPECT_FALSE(unpackShuffledCompressed(g, former, block));
 }
 
 TEST(ReflectanceStore, RecordsWhatCompressionLost) {

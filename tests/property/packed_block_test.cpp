@@ -66,6 +66,26 @@ RC_GTEST_PROP(PackedBlock, OfOtherBytesIsRefusedOrReadAlikeBothWays, ()) {
   RC_ASSERT(wide == plain);
 }
 
+RC_GTEST_PROP(PackedBlock, InABasisOfOtherBytesIsRefusedOrReadWithoutHarm, ()) {
+  StoreGeometry g = drawGeometry();
+  g.light_count = *rc::gen::inRange(17, 50);
+  const int rank = *rc::gen::inRange(1, 17);
+  std::vector<std::byte> bytes(4 + rank * (4 + 2 * static_cast<std::size_t>(g.light_count)), std::byte{0}), packed;
+  bytes[0] = static_cast<std::byte>(rank);
+  const StoreGeometry coefficients{16, 16, 0, 0, 1, 1, rank};
+  packBlock(coefficients, drawBlock(coefficients).data(), packed);
+  bytes.insert(bytes.end(), packed.begin(), packed.end());
+  ReflectanceBlock block;
+  RC_ASSERT(unpackCompressed(g, bytes, block));
+  RC_ASSERT(block.rank == rank && block.lit.empty());
+  const auto size = static_cast<int>(bytes.size());
+  for (int i = *rc::gen::inRange(1, 4); i > 0; --i)
+    bytes[*rc::gen::inRange(0, *rc::gen::element(8, size))] = static_cast<std::byte>(*rc::gen::inRange(0, 256));
+  bytes.resize(*rc::gen::element(size, size - 1, 3, *rc::gen::inRange(0, size)));
+  const std::vector<std::byte> exact(bytes);
+  if (unpackCompressed(g, exact, block)) RC_ASSERT(block.bytes() <= g.blockBytes() + 4 * 50 * 65);
+}
+
 RC_GTEST_PROP(PackedBlock, ShortOfOneByteOrLongerByOneIsRefused, ()) {
   const StoreGeometry g = drawGeometry();
   std::vector<std::byte> bytes;
