@@ -28,6 +28,9 @@ Float8 eight(const float* from) {
   std::memcpy(&v, from, sizeof v);
   return v;
 }
+void put(const Float8& v, float* to) {
+  std::memcpy(to, &v, sizeof v);
+}
 double sum(const Float8& v) {
   double s = 0;
   for (int i = 0; i < 8; ++i) s += v[i];
@@ -261,23 +264,25 @@ double PointSamples::fit(PointReflectance& point, int rounds, bool lobe) {
   }
   for (int round = 1; round < rounds; ++round) {
     error_.resize(samples_), robust_.resize(samples_);
-    double total = 0;
-    for (int s = 0; s < samples_; ++s) {
-      float e = 0;
+    for (int s = 0; s < samples_; s += 8) {
+      Float8 t[kModelTerms], e = {};
+      for (int k = 0; k < kModelTerms; ++k) t[k] = eight(&terms_[k][s]);
       for (int c = 0; c < 3; ++c) {
-        float model = 0;
-        for (int k = 0; k < kModelTerms; ++k) model += point.coefficient[k][c] * terms_[k][s];
-        e += std::fabs(values_[c][s] - model);
+        Float8 model = {};
+        for (int k = 0; k < kModelTerms; ++k) model += point.coefficient[k][c] * t[k];
+        const Float8 off = eight(&values_[c][s]) - model;
+        e += off < 0 ? -off : off;
       }
-      error_[s] = e / 3;
-      total += weights_[s] > 0 ? error_[s] : 0.f;
+      put(e / 3, &error_[s]);
     }
+    double total = 0;
+    for (int s = 0; s < samples_; ++s) total += weights_[s] > 0 ? error_[s] : 0.f;
     const float mean = static_cast<float>(total / lit_samples_);
-    for (int s = 0; s < samples_; ++s) {
-      const float value = (values_[0][s] + values_[1][s] + values_[2][s]) / 3;
-      const float scale = 2.5f * mean + 0.1f * value;
-      const float ratio = scale > 0 ? error_[s] / scale : 0.f;
-      robust_[s] = weights_[s] / (1 + ratio * ratio);
+    for (int s = 0; s < samples_; s += 8) {
+      const Float8 value = (eight(&values_[0][s]) + eight(&values_[1][s]) + eight(&values_[2][s])) / 3;
+      const Float8 scale = 2.5f * mean + 0.1f * value;
+      const Float8 ratio = scale > 0 ? eight(&error_[s]) / scale : Float8{};
+      put(eight(&weights_[s]) / (1 + ratio * ratio), &robust_[s]);
     }
     const Sums robust = sums(terms_, values_, robust_);
     solve(robust, told_apart(robust) ? usable : kLambert, point);

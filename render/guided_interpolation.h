@@ -118,9 +118,9 @@ class GuidedLighting {
                  const DeformedModel& occluders, std::span<const SourceView> views,
                  std::span<const std::uint32_t> list_of_view, const Options& options);
 
-  /// Turns the weights of a hit's views into guidance's, as far as the gate is open: they fall with the square of
-  /// n0 . v_i instead of its root. The model knows how views differ, so that what its difference owes to the length of
-  /// a view's pixel on the surface counts for more than how near the view is.
+  /// Turns the weights of a hit's views into guidance's, as far as the gate is open: they fall with n0 . v_i instead of
+  /// its root. The model knows how views differ, so that the length of a view's pixel on the surface, which the
+  /// difference from the model suffers from, counts for more than how near the view is.
   void weigh(const SurfaceHit& hit, std::span<ChosenView> chosen) const;
   /// Blends the fit at the hits and casts their shadow rays.
   void prepare(std::span<const GuidedQuery> queries, GuidedBlock& block) const;
