@@ -2,12 +2,12 @@
 // (p*, l*, v*) to (p, l, v) with every number in between.
 #include <algorithm>
 #include <cmath>
-#include <cstdarg>
 #include <cstdio>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
 
 #include "apps/explain_plan.h"
+#include "apps/html.h"
 #include "apps/program.h"
 #include "base/numeric.h"
 #include "render/animation.h"
@@ -15,23 +15,16 @@
 namespace srf {
 namespace {
 
+using html::format;
+
 constexpr std::size_t kMostLights = 8;  // listed one by one; of the others only how many
 
-std::string text(const char* format, ...) __attribute__((format(printf, 1, 2)));
-std::string text(const char* format, ...) {
-  char buffer[512];
-  va_list arguments;
-  va_start(arguments, format);
-  std::vsnprintf(buffer, sizeof buffer, format, arguments);
-  va_end(arguments);
-  return buffer;
-}
 std::string text(const Vec3& a) {
-  return text("(%.9g, %.9g, %.9g)", a.x, a.y, a.z);
+  return format("(%.9g, %.9g, %.9g)", a.x, a.y, a.z);
 }
 template <class Values>
 std::string colorText(const Values& c) {
-  return text("%.7g %.7g %.7g", double{c[0]}, double{c[1]}, double{c[2]});
+  return format("%.7g %.7g %.7g", double{c[0]}, double{c[1]}, double{c[2]});
 }
 void line(int indent, const std::string& name, const std::string& value) {
   std::printf("%*s%-*s %s\n", indent, "", 22 - indent, name.c_str(), value.c_str());
@@ -63,7 +56,7 @@ class Explanation {
 
   void printHit(const ExplainedHit& e) const {
     line(2, "ray", "from " + text(e.ray.origin.raw()) + " along " + text(e.ray.direction.raw()));
-    line(2, "p*", text(e.hit.p_star.raw()) + text(", distance %.9g", e.hit.distance));
+    line(2, "p*", text(e.hit.p_star.raw()) + format(", distance %.9g", e.hit.distance));
     const DeformableModel& model = explained_.model;
     std::printf("  made of %d %s:\n", e.hit.count,
                 model.kind == ModelKind::surfels ? "overlapping surfels" : "corners of a triangle");
@@ -78,11 +71,11 @@ class Explanation {
       line(6, "u0, v0, n0", text(r0.column(0)) + " " + text(r0.column(1)) + " " + text(r0.column(2)));
       line(6, "u, v", text(t.u.raw()) + " " + text(t.v.raw()));
       if (scene_.deformation.movesVertices()) {
-        line(6, "sigma", text("%+d, from the mesh that moves the point", t.handedness));
+        line(6, "sigma", format("%+d, from the mesh that moves the point", t.handedness));
       } else {
         const Vec3 w = psi_.jacobian(model.p0[point]).raw() * r0.column(2);
         line(6, "w", text(w));
-        line(6, "sigma", text("%+d, w . (u x v) = %.6g", t.handedness, dot(w, cross(t.u.raw(), t.v.raw()))));
+        line(6, "sigma", format("%+d, w . (u x v) = %.6g", t.handedness, dot(w, cross(t.u.raw(), t.v.raw()))));
       }
     }
   }
@@ -96,14 +89,14 @@ class Explanation {
     std::printf("  look-up\n");
     line(4, "p = p0", text(e.look_up.p.raw()) + "   Eq. 3");
     line(4, "u0, v0, n0", text(r0.column(0)) + " " + text(r0.column(1)) + " " + text(r0.column(2)) + "   blended R0");
-    line(4, "u", text(u) + text(", length %.7g   Eq. 6", length(u)));
-    line(4, "v", text(v) + text(", length %.7g", length(v)));
+    line(4, "u", text(u) + format(", length %.7g   Eq. 6", length(u)));
+    line(4, "v", text(v) + format(", length %.7g", length(v)));
     line(4, "stretch, shear",
-         text("%.7g to %.7g, %.6g degrees", change.shortest, change.longest, degrees(change.shear)));
+         format("%.7g to %.7g, %.6g degrees", change.shortest, change.longest, degrees(change.shear)));
     const char* mode = scene_.accuracy.frame == FrameMode::bisector ? "bisector, Eq. 8 and 9" : "polar";
     line(4, "u-bar", text(rows.row[0]) + "   " + (e.look_up.collapsed ? "fallback: u, v are no frame" : mode));
     line(4, "v-bar", text(rows.row[1]));
-    line(4, "sigma n-bar", text(rows.row[2]) + text("   Eq. 7, sigma %+d", e.hit.tangents.handedness));
+    line(4, "sigma n-bar", text(rows.row[2]) + format("   Eq. 7, sigma %+d", e.hit.tangents.handedness));
     for (int i = 0; i < 3; ++i) line(4, i == 0 ? "L" : "", text(l.row[i]) + (i == 0 ? "   Eq. 10" : ""));
     line(4, "v*", text(-e.ray.direction.raw()));
     line(4, "v = L v*", text(e.view.raw()));
@@ -117,10 +110,10 @@ class Explanation {
       const StoredView& view = explained_.field.views[c.view];
       const auto at = view.camera.project(e.look_up.p);
       line(4, view.name,
-           text("weight %.7g, angle %.5g degrees, penalty %.6g, n0 . v_i %.4g, at pixel (%.3f, %.3f), covered %.4g",
-                c.weight, degrees(c.angle), c.penalty,
-                dot(e.look_up.normal.raw(), view.camera.viewDirection(e.look_up.p).raw()), at ? at->pixel.x : NAN,
-                at ? at->pixel.y : NAN, c.fetch.covered));
+           format("weight %.7g, angle %.5g degrees, penalty %.6g, n0 . v_i %.4g, at pixel (%.3f, %.3f), covered %.4g",
+                  c.weight, degrees(c.angle), c.penalty,
+                  dot(e.look_up.normal.raw(), view.camera.viewDirection(e.look_up.p).raw()), at ? at->pixel.x : NAN,
+                  at ? at->pixel.y : NAN, c.fetch.covered));
     }
   }
 
@@ -152,19 +145,19 @@ class Explanation {
       std::string row;
       for (const LightEntry& entry : merged)
         row += lightOf(operation.view, entry.light).name + " " + colorText(entry.weight) + "; ";
-      line(4, text("merged, %zu lights", merged.size()), row);
+      line(4, format("merged, %zu lights", merged.size()), row);
     }
   }
 
   void printSum(const ExplainedHit& e) const {
     std::printf("  texels: what each counts, and its photograph under these lights\n");
     for (const ExplainedTexel& texel : e.texels)
-      line(4, text("%s (%d, %d)", explained_.field.views[texel.view].name.c_str(), texel.x, texel.y),
-           text("%.7g x ", double{texel.tap}) + colorText(texel.relit));
+      line(4, format("%s (%d, %d)", explained_.field.views[texel.view].name.c_str(), texel.x, texel.y),
+           format("%.7g x ", double{texel.tap}) + colorText(texel.relit));
     for (std::size_t i = 0; i < e.operations.size(); ++i)
       line(4,
            (i ? "+ " : "  ") + explained_.field.views[e.operations[i].view].name +
-               text(" tile %u", e.operations[i].tile),
+               format(" tile %u", e.operations[i].tile),
            colorText(e.results[i]));
     line(2, "color", colorText(e.color));
   }

@@ -264,12 +264,19 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       "at most " + shortNumber(counted("hits") * scene.accuracy.views * 4) + " operations",
       shortNumber(counted("operations")) + " operations, " + shortNumber(figure("cache.misses")) + " blocks read");
 
+  const auto& support = rendered.at(0).support;
+  add("capture support", true, "srf explain tells it; srf render does with --stats or a layer of it alone",
+      "at most every fourth of " + shortNumber(pixels * static_cast<double>(moments)) + " pixels",
+      shortNumber(support ? static_cast<double>(support->hits) : 0) + " places, " +
+          shortNumber(std::round(1e4 * figure("seconds.support")) / 1e4) + " s, " +
+          shortNumber(std::round(1e3 * figure("seconds.support") / rendered.at(0).seconds) / 10) + " % of the frame");
+
   Json seconds;
   for (const auto& [name, value] : figures)
     if (name.starts_with("seconds.")) seconds[name.substr(8)] = value;
   seconds["whole frame"] = rendered.at(0).seconds;
   Json out{{"frame", frame}, {"plan", std::move(plan)}, {"seconds", std::move(seconds)}};
-  if (const auto& support = rendered.at(0).support; support && support->hits > 0)
+  if (support && support->hits > 0)
     out["support"] = {
         {"supported", support->share(support->supported)},       {"far_from_views", support->share(support->view_far)},
         {"far_from_lights", support->share(support->light_far)}, {"seen_by_no_view", support->share(support->occluded)},

@@ -38,7 +38,7 @@ std::string lightsText(const SrfManifest& field) {
   return text;
 }
 
-/// How much of the pictures the capture supports, and why the rest is not.
+/// How much of the pictures the capture supports, why the rest is not, and what it cost to tell.
 std::string support(const PipelineReport& report) {
   std::vector<std::pair<int, FrameSupport>> told;
   FrameSupport all;
@@ -49,7 +49,14 @@ std::string support(const PipelineReport& report) {
   std::string text = sentence + ".";
   if (told.size() < report.frames.size())
     text += format(" Told of %zu frames: the others were kept from a run that did not ask.", told.size());
-  return row("support", text) + row("over these frames", all.text());
+  std::string rows = row("support", text) + row("over these frames", all.text());
+  if (const auto took = report.figures.find("seconds.support"); took != report.figures.end()) {
+    double seconds = 0;
+    for (const RenderedFrame& frame : report.frames) seconds += frame.kept ? 0 : frame.seconds;
+    rows += row("telling it took", format("%.2g s, %.1f %% of the time of the frames rendered now", took->second,
+                                          100 * took->second / seconds));
+  }
+  return rows;
 }
 
 std::string summary(const PipelineReport& report) {

@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <nlohmann/json.hpp>
 
 #include "apps/html.h"
 #include "base/error.h"
 #include "base/image_metrics.h"
 #include "base/json.h"
+#include "base/numeric.h"
 #include "base/text.h"
 
 namespace srf {
@@ -55,7 +57,7 @@ Json settingToJson(const MeasuredSetting& m) {
   if (m.memory_bytes) out["memory_bytes"] = m.memory_bytes;
   out["error_worst"] = m.worstError();
   out["seconds_worst"] = m.worstSeconds();
-  out["promise"] = {{"error", m.worstError() * kErrorMargin}, {"seconds", m.worstSeconds() * kTimeMargin}};
+  out["promise"] = {{"error", m.promisedError()}, {"seconds", m.promisedSeconds()}};
   out["seconds"] = m.seconds;
   out["seconds_spread"] = m.spread;
   out["seconds_cold"] = m.cold;
@@ -85,6 +87,21 @@ MeasuredSetting settingFrom(const JsonNode& node, std::size_t frames) {
   return m;
 }
 
+[[noreturn]] void refuseError(const Study& study, double error, const std::string& where) {
+  const double exact = study.leastPromised();
+  double least = exact;
+  for (const MeasuredSetting& m : study.measured) least = std::min(least, m.worstTruth());
+  throw badInput(
+      where,
+      format("an error of at most %.3g %% was asked for, but the all-exact setting itself is %.3g %% from the true "
+             "pictures ",
+             100 * error, 100 * exact) +
+          study.reference +
+          format(", and no setting that was measured is nearer than %.3g %%; ask for at least %.3g %% (0: all exact), "
+                 "or see with srf study --capture what more views or lights would bring",
+                 100 * least, 100 * exact));
+}
+
 }  // namespace
 
 std::vector<std::string> overridesOf(const SceneKeys& keys) {
@@ -109,8 +126,32 @@ double MeasuredSetting::worstError() const {
   return worst;
 }
 
+double MeasuredSetting::promisedError() const {
+  // Student's t of n - 1 degrees of freedom that 9 in 10 stay below; of more the last.
+  constexpr double kStudent[] = {3.078, 1.886, 1.638, 1.533, 1.476, 1.440, 1.415, 1.397, 1.383, 1.372};
+  constexpr double kOneFrame = 1.1;  // a guess, for one frame tells nothing of the others
+  const std::size_t n = exact.size();
+  if (n < 2) return worstError() * kOneFrame;
+  double mean = 0, squares = 0;
+  for (const FrameError& e : exact) mean += e.mean / static_cast<double>(n);
+  for (const FrameError& e : exact) squares += square(e.mean - mean);
+  const double spread = std::sqrt(squares / static_cast<double>(n - 1) * (1 + 1 / static_cast<double>(n)));
+  return std::max(worstError(), mean + kStudent[std::min(n - 2, std::size(kStudent) - 1)] * spread);
+}
+
+double MeasuredSetting::worstTruth() const {
+  double worst = 0;
+  for (const FrameError& e : truth) worst = std::max(worst, e.mean);
+  return worst;
+}
+
 double MeasuredSetting::worstSeconds() const {
   return *std::max_element(seconds.begin(), seconds.end());
+}
+
+double MeasuredSetting::promisedSeconds() const {
+  constexpr double kMargin = 1.1;  // times of one machine scatter by so much
+  return worstSeconds() * kMargin;
 }
 
 const MeasuredSetting* Study::find(const SceneKeys& keys, std::size_t memory_bytes) const {
@@ -129,6 +170,11 @@ std::vector<const MeasuredSetting*> Study::front() const {
   for (const MeasuredSetting* m : sorted)
     if (best.empty() || m->worstError() < best.back()->worstError()) best.push_back(m);
   return best;
+}
+
+double Study::leastPromised() const {
+  const MeasuredSetting* setting = find(exact);
+  return setting ? setting->worstTruth() : 0;
 }
 
 KnobCurve curveOf(const Study& study, const Knob& knob) {
@@ -180,7 +226,6 @@ void writeStudy(const std::filesystem::path& file, const Study& study) {
   out["passes"] = study.passes;
   out["picture_divisor"] = study.divisor;
   out["complete"] = study.complete;
-  out["margin"] = {{"error", kErrorMargin}, {"seconds", kTimeMargin}};
   out["exact"] = keysToJson(study.exact);
   out["own"] = keysToJson(study.own);
   out["settings"] = Json::array();
@@ -234,22 +279,24 @@ const MeasuredSetting& chooseSetting(const Study& study, std::optional<double> e
                                      const std::string& where) {
   const auto front = study.front();
   if (front.empty()) throw badInput(where, "holds no measured setting; run srf study again to go on with it");
+  if (error && *error > 0 && *error < study.leastPromised()) refuseError(study, *error, where);
   const MeasuredSetting* best = nullptr;
   for (const MeasuredSetting* m : front) {  // fastest first, so that of the last one the error is least
-    if (seconds && m->worstSeconds() * kTimeMargin > *seconds) break;
-    if (error && m->worstError() * kErrorMargin > *error) continue;
+    if (seconds && m->promisedSeconds() > *seconds) break;
+    if (error && m->promisedError() > *error) continue;
     best = m;
     if (error) break;
   }
   if (best) return *best;
   const MeasuredSetting &fastest = *front.front(), &nearest = *front.back();
   throw badInput(
-      where, format("no setting promises %s%s%s; the fastest promises %.3g s a frame with an error of "
-                    "%.3g %%, the nearest %.3g s with %.3g %%",
-                    error ? format("an error of at most %.3g %%", 100 * *error).c_str() : "",
-                    error && seconds ? " in " : "", seconds ? format("at most %.3g s a frame", *seconds).c_str() : "",
-                    fastest.worstSeconds() * kTimeMargin, 100 * fastest.worstError() * kErrorMargin,
-                    nearest.worstSeconds() * kTimeMargin, 100 * nearest.worstError() * kErrorMargin));
+      where,
+      format("no setting promises %s%s%s; the fastest promises %.3g s a frame with an error of "
+             "%.3g %%, the nearest %.3g s with %.3g %%; ask for what one of these promises, or run "
+             "srf study again with a longer --budget",
+             error ? format("an error of at most %.3g %%", 100 * *error).c_str() : "", error && seconds ? " in " : "",
+             seconds ? format("at most %.3g s a frame", *seconds).c_str() : "", fastest.promisedSeconds(),
+             100 * fastest.promisedError(), nearest.promisedSeconds(), 100 * nearest.promisedError()));
 }
 
 }  // namespace srf

@@ -38,7 +38,11 @@ struct MeasuredSetting {
   double bytes_read = 0, peak_bytes = 0;  ///< of the field's cache
 
   double worstError() const;  ///< largest mean relative error of a studied frame
+  double worstTruth() const;  ///< the same against --reference; 0 without it
   double worstSeconds() const;
+  /// What another frame keeps in 9 of 10, going by how the studied ones scatter; no less than the worst of these.
+  double promisedError() const;
+  double promisedSeconds() const;
 };
 
 /// What a knob may be set to, from exact to cheap.
@@ -63,6 +67,9 @@ struct Study {
   const MeasuredSetting* find(const SceneKeys& keys, std::size_t memory_bytes = 0) const;
   /// Those that no other one beats in both worst error and worst time, fastest first: the error falls strictly.
   std::vector<const MeasuredSetting*> front() const;
+  /// Of errors but 0: how far the all-exact setting itself is from --reference, below which a promise against that
+  /// setting would be idle. 0 without true pictures.
+  double leastPromised() const;
 };
 
 /// What was measured of a knob, all else exact, from exact to cheap.
@@ -75,16 +82,14 @@ struct KnobCurve {
 };
 KnobCurve curveOf(const Study& study, const Knob& knob);
 
-/// A promise is the worst studied frame times this.
-constexpr double kErrorMargin = 1.1, kTimeMargin = 1.1;
-
 /// Throws bad_input that names the file and the key.
 Study readStudy(const std::filesystem::path& file);
 void writeStudy(const std::filesystem::path& file, const Study& study);
 std::string studyTable(const Study& study);  ///< CSV, a row a setting and frame
 
 /// The fastest of the front that promises at most `error`, or the nearest that promises at most `seconds` a frame; with
-/// both, the fastest that keeps both. Throws bad_input that says what the study has to offer where none does.
+/// both, the fastest that keeps both. Throws bad_input that says what the study has to offer where none does, or where
+/// `error` is below leastPromised().
 const MeasuredSetting& chooseSetting(const Study& study, std::optional<double> error, std::optional<double> seconds,
                                      const std::string& where);
 

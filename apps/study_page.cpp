@@ -107,21 +107,29 @@ std::string recommendations(const Study& study) {
       "<th>settings, where not exact</th></tr>\n";
   const auto front = study.front();
   const auto row = [&](const std::string& wanted, const MeasuredSetting& m) {
-    out += "<tr><td>" + wanted + "</td><td class=\"n\">" + percent(m.worstError() * kErrorMargin) +
-           format("</td><td class=\"n\">%.3g s</td><td>", m.worstSeconds() * kTimeMargin) + changesText(study, m.keys) +
+    out += "<tr><td>" + wanted + "</td><td class=\"n\">" + percent(m.promisedError()) +
+           format("</td><td class=\"n\">%.3g s</td><td>", m.promisedSeconds()) + changesText(study, m.keys) +
            "</td></tr>\n";
   };
   for (const double error : {0.03, 0.01, 0.003, 0.001})
-    row(format("at most %g %% error in the least time", 100 * error), chooseSetting(study, error, std::nullopt, ""));
-  const double fastest = front.front()->worstSeconds() * kTimeMargin;
+    if (error >= study.leastPromised())
+      row(format("at most %g %% error in the least time", 100 * error), chooseSetting(study, error, std::nullopt, ""));
+  const double fastest = front.front()->promisedSeconds();
   for (const double factor : {1.0, 2.0})
     row(format("least error in %.3g s a frame", fastest * factor),
         chooseSetting(study, std::nullopt, fastest * factor * (1 + 1e-9), ""));
-  return out + format(
-                   "</table>\n<p>A promise is the worst of the studied frames and %.0f %% more. To use one: "
-                   "<code>srf render %s --quality study.json --target-error 0.01</code> (or "
-                   "<code>--target-time 0.1</code>).</p>\n",
-                   100 * (kErrorMargin - 1), escaped(study.scene.substr(0, 120)).c_str());
+  out += "</table>\n";
+  if (study.leastPromised() > 0)
+    out += format(
+        "<p>Less than %.3g %% cannot be promised: so far the all-exact setting itself is from the true "
+        "pictures.</p>\n",
+        100 * study.leastPromised());
+  return out +
+         "<p>The promised error is what 9 in 10 frames keep, going by how the studied ones scatter, and no less than "
+         "the "
+         "worst of these; the promised time is the longest and a tenth more. To use one: <code>srf render " +
+         escaped(study.scene.substr(0, 120)) +
+         " --quality study.json --target-error 0.01</code> (or <code>--target-time 0.1</code>).</p>\n";
 }
 
 std::string knobPlot(const Study& study, const Knob& knob) {

@@ -360,11 +360,7 @@ ImageDifference compareImages(const ImageF& image, const ImageF& reference, cons
     errors.push_back(largest / (std::max(truth, 0.0) + result.peak / 100));
   }
   for (const double error : errors) result.relative_error += error / static_cast<double>(errors.size());
-  if (!errors.empty()) {
-    const auto rank = static_cast<std::ptrdiff_t>(0.999 * static_cast<double>(errors.size() - 1));
-    std::nth_element(errors.begin(), errors.begin() + rank, errors.end());
-    result.relative_error_tail = errors[static_cast<std::size_t>(rank)];
-  }
+  if (!errors.empty()) result.relative_error_tail = percentile(errors, 0.999);
   return result;
 }
 

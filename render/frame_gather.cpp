@@ -173,6 +173,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   wanted.reserve(met.size());
   out.pixel.reserve(met.size());
   out.shading.operations.reserve(chosen.views.size() + chosen.views.size() / 4);
+  Clock::duration supporting{0};
   for (std::size_t m = 0; m < met.size(); ++m) {
     const auto target = static_cast<std::uint32_t>(out.pixel.size());
     const bool first_of_pixel = out.pixel.empty() || out.pixel.back() != pixels[met[m]];
@@ -193,7 +194,9 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     const int x = static_cast<int>(pixels[met[m]] % width), y = static_cast<int>(pixels[met[m]] / width);
     std::optional<HitSupport> hit_support;
     if (support && first_of_pixel && (layers || (x % 2 == 0 && y % 2 == 0))) {
+      const auto asked = Clock::now();
       hit_support = support->at(hit, look_ups[m], chosen.of(m), chosen.result[m], plan.lighting);
+      supporting += Clock::now() - asked;
       if (x % 2 == 0 && y % 2 == 0) out.support.add(*hit_support);
     }
     if (first_of_pixel && layers)
@@ -215,6 +218,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   }
   out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
   lap(kViews);
+  out.seconds[kSupport] = std::chrono::duration<double>(supporting).count();
+  out.seconds[kViews] -= out.seconds[kSupport];
 
   thread_local GuidedBlock guided_block;  // for its memory
   guided_block.shadow_rays = guided_block.model_values = 0;

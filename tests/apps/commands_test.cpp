@@ -549,6 +549,8 @@ TEST(Pipeline, MakesFieldFramesSheetAndReportAndThenOnlyWhatIsLeft) {
       std::regex(
           R"(\d+ (to \d+ )?% of the picture is supported by the capture(, in every frame|; least in frame \d+)\.)")))
       << supported;
+  const std::regex price(R"(telling it took</td><td>\d\S* s, \d+\.\d % of the time)");
+  EXPECT_TRUE(std::regex_search(page, price));
 
   const auto field_time = fs::last_write_time(folder / "out/field.srf/manifest.json");
   const auto frame_time = fs::last_write_time(folder / "out/frames/frame.0000.exr");
@@ -603,6 +605,8 @@ TEST(Explain, PlanTellsWhatTheSceneCallsFor) {
   EXPECT_TRUE(row(with, "one orientation for all hits")["on"].get<bool>());
   EXPECT_GT(with["seconds"]["ground"].get<double>(), 0);
   EXPECT_FALSE(without["seconds"].contains("ground"));
+  EXPECT_TRUE(row(without, "capture support")["on"].get<bool>());
+  EXPECT_GT(without["seconds"]["support"].get<double>(), 0);
   EXPECT_EQ(run({"explain", sample().scene}).code, 0);
 }
 
@@ -658,7 +662,24 @@ TEST(Study, KeepsItsPromisesAndGoesOnWhereItEnded) {
                 {"--target-error"});
   expectMessage(
       run({"render", file, "--quality", study / "study.json", "--target-time", "1e-9", "-o", folder / "x.####.exr"}), 3,
-      {"study.json"});
+      {"study.json", "no setting promises", "--budget"});
+
+  // Against true pictures all settings are 3 %, one 2.5 % off: less cannot be promised, all exact can be had.
+  Json known = found;
+  known["reference"] = "truth.####.exr";
+  for (Json& setting : known["settings"]) {
+    setting["against_reference"] = setting["against_exact"];
+    for (Json& frame : setting["against_reference"])
+      frame["relative_error_mean"] = &setting == &known["settings"].back() ? 0.025 : 0.03;
+  }
+  writeJsonFile(study / "known.json", known);
+  const auto asked = [&](const char* error) {
+    return run({"render", file, "--frames", "7", "--quality", study / "known.json", "--target-error", error, "-o",
+                folder / "x.####.exr"});
+  };
+  expectMessage(asked("0.02"), 3, {"known.json", "at most 2 %", "3 % from the true pictures", "2.5 %", "--capture"});
+  EXPECT_EQ(asked("0.03").code, 0);
+  EXPECT_EQ(asked("0").code, 0);
 }
 
 TEST(Study, OfAMovedMeshBeginsAnewWhenTheMeshMoves) {

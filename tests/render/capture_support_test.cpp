@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <map>
 
 #include "base/numeric.h"
 #include "render/frame_renderer.h"
@@ -27,8 +28,11 @@ class CaptureSupportTest : public testing::Test {
   Frame render(const FrameLights& lights, const std::string& deformation = "[]") {
     DeformedModel deformed(field_.model);
     deformed.deform(AnimatedDeformation::parse(parseJson(deformation, "test"), ".", Reporter::silent()).at(0));
-    FrameRenderer renderer(field_.folder, field_.manifest, field_.model, settings_, Reporter::silent());
-    return renderer.render(camera_, deformed, lights);
+    Reporter reporter(ProgressMode::none, LogLevel::error);
+    FrameRenderer renderer(field_.folder, field_.manifest, field_.model, settings_, reporter);
+    Frame frame = renderer.render(camera_, deformed, lights);
+    figures_ = reporter.figures();
+    return frame;
   }
   static FrameLights from(const Vec3& direction) {
     FrameLights lights;
@@ -47,6 +51,7 @@ class CaptureSupportTest : public testing::Test {
   test::FormulaField field_;
   Camera<ObjectSpace> camera_;
   FrameSettings settings_;
+  std::map<std::string, double> figures_;  // of the last frame
 };
 
 TEST_F(CaptureSupportTest, ACapturedViewUnderACapturedLightIsSupportedWholly) {
@@ -111,11 +116,15 @@ TEST_F(CaptureSupportTest, WhatNoViewSeesAndWhatIsStretchedIsNotSupported) {
   EXPECT_DOUBLE_EQ(hidden.support->share(hidden.support->supported), 1 - share);
 }
 
-TEST_F(CaptureSupportTest, IsNotLookedAtUnlessAskedFor) {
+TEST_F(CaptureSupportTest, IsNotLookedAtUnlessAskedForAndTellsWhatItTook) {
+  render(from({0, -1, 1}));
+  ASSERT_TRUE(figures_.contains("seconds.support"));
+  EXPECT_GT(figures_.at("seconds.support"), 0);
   settings_.layers.clear(), settings_.support = false;
   const Frame frame = render(from({0, -1, 1}));
   EXPECT_FALSE(frame.support);
   EXPECT_TRUE(frame.layers.empty());
+  EXPECT_FALSE(figures_.contains("seconds.support"));
 }
 
 }  // namespace
