@@ -274,7 +274,7 @@ Lobe findLobe(std::span<SearchPoint> points, const std::vector<Roughness>& mater
   lobe.pays = static_cast<double>(fresnel.size()) > kFewestWithLobe * static_cast<double>(points.size());
   if (!lobe.pays) return lobe;
   const float all = std::max(1.f, quantile(matt, kBrightShare)), believed = quantile(fresnel, kFresnelShare);
-  lobe.most_fresnel = believed > 0 ? std::min(kFresnelSpread * believed, all) : all;
+  lobe.most_fresnel = kFresnelSpread * (believed > 0 ? std::min(believed, all) : all);
   return lobe;
 }
 

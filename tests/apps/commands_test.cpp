@@ -595,14 +595,16 @@ TEST(Explain, PlanTellsWhatTheSceneCallsFor) {
        {"ground", "motion blur", "depth of field", "matte", "environments", "one orientation for all hits"})
     EXPECT_FALSE(row(without, name)["on"].get<bool>()) << name;
   EXPECT_TRUE(row(without, "deformation")["on"].get<bool>());
-  const Outcome asked = run({"explain", sample().scene, "--json", "--set", "/deformation=[]", "--set",
-                             R"(/effects={"ground": {"height": -1}, "motion_blur": {"shutter": 1, "samples": 2}})"});
+  const Outcome asked =
+      run({"explain", sample().scene, "--json", "--set", "/deformation=[]", "--set", R"(/interpolation="plain")",
+           "--set", R"(/effects={"ground": {"height": -1}, "motion_blur": {"shutter": 1, "samples": 2}})"});
   ASSERT_EQ(asked.code, 0) << asked.err;
   const Json with = Json::parse(asked.out);
   EXPECT_TRUE(row(with, "ground")["on"].get<bool>());
   EXPECT_EQ(row(with, "ground")["because"], "/effects/ground");
   EXPECT_EQ(row(with, "motion blur")["expected"], "2 pictures for this frame");
   EXPECT_TRUE(row(with, "one orientation for all hits")["on"].get<bool>());
+  EXPECT_GT(row(with, "one orientation for all hits")["factor"].get<double>(), 0);
   EXPECT_GT(with["seconds"]["ground"].get<double>(), 0);
   EXPECT_FALSE(without["seconds"].contains("ground"));
   EXPECT_TRUE(row(without, "capture support")["on"].get<bool>());
