@@ -18,6 +18,7 @@ constexpr const char* kLights = "/accuracy/lights";
 constexpr const char* kShadowRays = "/accuracy/shadow_rays";
 constexpr const char* kFrame = "/accuracy/frame";
 constexpr const char* kInterpolation = "/interpolation";
+constexpr const char* kShading = "/accuracy/shading";
 constexpr int kEveryRay = 1000000;  // the most that a scene may ask for
 
 bool isEnvironment(const std::string& key) {
@@ -108,6 +109,7 @@ SceneKeys ownSetting(const Scene& scene, const SceneProbe& probe) {
   for (const std::string& key : environments.keys) keys[key] = text(environments.own);
   if (probe.guided) keys[kInterpolation] = "\"guided\"";
   if (probe.shadow_rays) keys[kShadowRays] = text(scene.accuracy.shadow_rays);
+  if (scene.accuracy.sparse_shading) keys[kShading] = "\"sparse\"";
   return keys;
 }
 
@@ -115,6 +117,7 @@ SceneKeys exactSetting(const Scene& scene, const SceneProbe& probe, double secon
   const Environments environments = environmentsOf(scene);
   SceneKeys keys = ownSetting(scene, probe);
   keys[kSharing] = "0";
+  if (scene.accuracy.sparse_shading) keys[kShading] = "\"every\"";
   if (probe.shadow_rays) keys[kShadowRays] = text(kEveryRay);
   const double own_lights = environments.own == 0 ? environments.texels : environments.own;
   int samples = 16;
