@@ -252,9 +252,9 @@ struct Lobe {
   float most_fresnel = std::numeric_limits<float>::infinity();  // kf that is believed of a point
 };
 
-// A point's own samples seldom come near grazing angles, so its kf alone may be anything, at most what reflects all
-// that arrives: 1, or what the brightest points reflect where photographs are on a scale of their own. A lobe that pays
-// at few points is a lobe of shadow outlines and bent normals.
+// A point's own samples seldom come near grazing angles, so its kf alone may be anything. Most points' is believed, up
+// to what reflects all that arrives: 1, or what the brightest points reflect where photographs are on a scale of their
+// own. A lobe that pays at few points is a lobe of shadow outlines and bent normals.
 Lobe findLobe(std::span<SearchPoint> points, const std::vector<Roughness>& materials) {
   std::vector<float> fresnel(points.size(), -1), matt(points.size());
   parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
