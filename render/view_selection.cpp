@@ -328,7 +328,7 @@ bool ViewSelection::standIn(const ViewQuery& query, std::span<const std::uint8_t
     if (!projection || !(borderOf(views_[view].camera.lens, projection->pixel) > 0)) continue;
     const Fetch fetch = bilinearFetch(views_[view], projection->pixel);
     if (!(fetch.covered > 0 || views_[view].matte)) continue;
-    chosen = {view, 1, angle, std::numeric_limits<double>::infinity(), fetch};
+    chosen = {view, 1, angle, std::numeric_limits<double>::infinity(), 1, fetch};
     return true;
   }
   return false;
