@@ -53,6 +53,7 @@ def main():
 
     import mitsuba as mi
     mi.set_variant(options.variant)
+    mi.set_log_level(mi.LogLevel.Error)  # its warnings would stand in the page
     import drjit as dr
     import numpy as np
 
