@@ -255,7 +255,7 @@ double PointSamples::fit(PointReflectance& point, int rounds, bool lobe) {
     return lit_samples_ >= kFewestSamples && wellConditioned(s.equations[0]);
   };
   const Sums plain = sums(terms_, values_, weights_);
-  unsigned usable = told_apart(plain) ? kAll : kLambert;
+  unsigned usable = !told_apart(plain) ? kLambert : lobe || rounds > 1 ? kAll : kNoLobe;
   const double error = solve(plain, usable, point);
   if (rounds > 1 && usable == kAll) {
     PointReflectance matt = point;

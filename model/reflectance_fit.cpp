@@ -26,7 +26,8 @@ constexpr double kAnisotropyPays = 0.85;     // at most this share of the error 
 constexpr int kMostMaterials = 3;            // of roughness of their own
 constexpr double kMaterialPays = 0.85;       // one more leaves at most this share of the error
 constexpr float kMaterialsApart = 1.5f;      // ratio of their roughnesses at least
-constexpr double kFewestWithLobe = 0.02;     // share of the points at which a lobe pays, for there to be one
+constexpr double kFewestWithLobe = 0.02;     // share of the points at which a lobe pays, for there to be one ...
+constexpr double kLobePays = 0.98;           // ... that leaves at most this share of the error of all
 constexpr double kFresnelShare = 0.95;       // of the points have no larger kf than the largest believed ...
 constexpr float kFresnelSpread = 2;          // ... over this
 constexpr double kBrightShare = 0.99;        // of the points are no brighter than a surface that reflects all it gets
@@ -248,20 +249,24 @@ float quantile(std::vector<float>& values, double share) {
 
 // What the object's points together say of its lobe.
 struct Lobe {
-  bool pays = true;                                             // at more points than chance has it
+  bool pays = true;  // at more points than chance has it, and for all together
   float most_fresnel = std::numeric_limits<float>::infinity();  // kf that is believed of a point
 };
 
 // A point's own samples seldom come near grazing angles, so its kf alone may be anything. Most points' is believed, up
 // to what reflects all that arrives: 1, or what the brightest points reflect where photographs are on a scale of their
-// own. A lobe that pays at few points is a lobe of shadow outlines and bent normals.
+// own. A lobe that pays at few points, or at more but hardly for all together, is one of shadow outlines and bent
+// normals: over the mouth of a matt bowl, closed by its hull, it was a near mirror of 0.19 of the points that left
+// 0.996 of the error; glossy objects keep 0.02 to 0.55.
 Lobe findLobe(std::span<SearchPoint> points, const std::vector<Roughness>& materials) {
   std::vector<float> fresnel(points.size(), -1), matt(points.size());
+  std::vector<double> with(points.size()), without(points.size());
   parallelFor(points.size(), 8, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       PointReflectance fitted;
       chooseMaterial(materials, points[i].samples, points[i].normal, fitted);
-      points[i].samples.fit(fitted, kRounds);
+      without[i] = points[i].samples.fit(fitted, 1, false);
+      with[i] = points[i].samples.fit(fitted, kRounds);
       const auto most = [&](int term) {
         return *std::max_element(fitted.coefficient[term].begin(), fitted.coefficient[term].end());
       };
@@ -271,7 +276,8 @@ Lobe findLobe(std::span<SearchPoint> points, const std::vector<Roughness>& mater
   });
   std::erase_if(fresnel, [](float kf) { return kf < 0; });
   Lobe lobe;
-  lobe.pays = static_cast<double>(fresnel.size()) > kFewestWithLobe * static_cast<double>(points.size());
+  lobe.pays = static_cast<double>(fresnel.size()) > kFewestWithLobe * static_cast<double>(points.size()) &&
+              mean(with) < kLobePays * mean(without);
   if (!lobe.pays) return lobe;
   const float all = std::max(1.f, quantile(matt, kBrightShare)), believed = quantile(fresnel, kFresnelShare);
   lobe.most_fresnel = kFresnelSpread * (believed > 0 ? std::min(believed, all) : all);
