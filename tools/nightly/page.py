@@ -33,10 +33,10 @@ found = {}  # (row, what) -> {"bound", "at_least", "tests", "by": {build: worst}
 for build in builds:
     for r in records(folder / build):
         entry = found.setdefault((r["row"], r["what"]),
-                                 {"bound": r["bound"], "at_least": r["at_least"], "tests": set(), "by": {}, "full": set()})
+                                 {"bound": r["bound"], "at_least": r["at_least"], "tests": set(), "by": {}, "full": {}})
         test = r["test"].split("/")
         entry["tests"].add("/".join(test[1:2] if len(test) > 1 and "." in test[1] else test[:1]))
-        entry["full"].add(r["full_size"])
+        entry["full"][build] = entry["full"].get(build, True) and r["full_size"]
         worst = min if r["at_least"] else max
         values = [v for v in (entry["by"].get(build), r["measured"]) if v is not None]
         entry["by"][build] = float("nan") if r["measured"] is None else worst(values)
@@ -61,9 +61,9 @@ def margin(entry, worst):
     return f"{ratio:.3g} x"
 
 
-sizes = {full for e in found.values() for full in e["full"]}
+sizes = {full for e in found.values() for full in e["full"].values()}
 size = {(True,): "full size", (False,): "the size that runs with each change"}.get(
-    tuple(sorted(sizes)), "the size that runs with each change, with lines marked * at full size in `release`")
+    tuple(sorted(sizes)), "the size that runs with each change, at full size in builds marked *")
 print("# Hard cases\n")
 print(f"Made by `tools/nightly/page.py` from what the tests measured: {size}; builds: "
       + ", ".join(f"`{b}`" for b in builds) + ". The worst of all builds and of all tests of a line stands in the table; "
@@ -90,8 +90,8 @@ for row in rows:
         values = list(e["by"].values())
         worst = float("nan") if any(v != v for v in values) else (min if e["at_least"] else max)(values)
         sign = "at least" if e["at_least"] else "at most"
-        what = what.replace("|", "\\|") + (" *" if len(sizes) > 1 and True in e["full"] else "")
-        by = "all" if len(e["by"]) == len(builds) else ", ".join(e["by"])
+        what = what.replace("|", "\\|")
+        by = ", ".join(build + (" *" if len(sizes) > 1 and e["full"][build] else "") for build in e["by"])
         print(f"| {what} | {number(worst)} | {sign} {number(e['bound'])} | {margin(e, worst)} | {by} | `{'`, `'.join(sorted(e['tests']))}` |")
     print()
     for picture in sorted((root / "doc/images/hard_cases").glob(f"{row['row']:02d}_*.png")):
