@@ -604,7 +604,8 @@ TEST(Explain, PlanTellsWhatTheSceneCallsFor) {
   EXPECT_EQ(row(with, "ground")["because"], "/effects/ground");
   EXPECT_EQ(row(with, "motion blur")["expected"], "2 pictures for this frame");
   EXPECT_TRUE(row(with, "one orientation for all hits")["on"].get<bool>());
-  EXPECT_GT(row(with, "one orientation for all hits")["factor"].get<double>(), 0);
+  // Timed: of so small a picture it cannot always be told, and is then left out.
+  EXPECT_GT(row(with, "one orientation for all hits").value("factor", 1.0), 0);
   EXPECT_GT(with["seconds"]["ground"].get<double>(), 0);
   EXPECT_FALSE(without["seconds"].contains("ground"));
   EXPECT_TRUE(row(without, "capture support")["on"].get<bool>());
