@@ -35,14 +35,23 @@ class Covers {
       count_.emplace_back(static_cast<std::size_t>(pictures_.back().columns) * pictures_.back().rows, 0);
     }
   }
-  void add(const AcquisitionMesh& piece, int times) {
+  void add(const AcquisitionMesh& piece) { count(coveredSamples(piece, pictures_), 1); }
+  // Takes a piece that was added away again if others cover it wherever a picture sees it, or lie a sample beside.
+  bool removeIfCoveredByOthers(const AcquisitionMesh& piece) {
     const auto covered = coveredSamples(piece, pictures_);
+    if (!coveredByOthers(covered)) return false;
+    count(covered, -1);
+    return true;
+  }
+
+ private:
+  using Samples = std::vector<std::vector<std::uint8_t>>;  // as coveredSamples has them
+
+  void count(const Samples& covered, int times) {
     for (std::size_t i = 0; i < count_.size(); ++i)
       for (std::size_t s = 0; s < count_[i].size(); ++s) count_[i][s] += times * covered[i][s];
   }
-  // Whether others of what was added cover the piece wherever a picture sees it, or lie a sample beside.
-  bool coveredByOthers(const AcquisitionMesh& piece) const {
-    const auto covered = coveredSamples(piece, pictures_);
+  bool coveredByOthers(const Samples& covered) const {
     int seen = 0;
     for (std::size_t i = 0; i < pictures_.size(); ++i) {
       const SampledPicture& picture = pictures_[i];
@@ -66,7 +75,6 @@ class Covers {
     return seen >= 2;
   }
 
- private:
   std::vector<SampledPicture> pictures_;
   std::vector<std::vector<int>> count_;
 };
@@ -93,17 +101,17 @@ void dropUnneededComponents(AcquisitionMesh& mesh, std::span<const Camera<Acquis
       order.push_back(c);
   }
   std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return volume[a] < volume[b]; });
-  if (order.size() > 1) {
+  if (order.size() > 1 && !(volume[order.front()] > kPhantom * whole)) {
     Covers covers(cameras);
     AcquisitionMesh piece{mesh.positions, {}, {}};
     for (const std::uint32_t c : order) {
       piece.triangles = pieces[c];
-      covers.add(piece, 1);
+      covers.add(piece);
     }
     for (const std::uint32_t c : order) {
+      if (volume[c] > kPhantom * whole) break;
       piece.triangles = pieces[c];
-      if (volume[c] > kPhantom * whole || !covers.coveredByOthers(piece)) continue;
-      covers.add(piece, -1);
+      if (!covers.removeIfCoveredByOthers(piece)) continue;
       dropped[c] = true;
       reporter.count("hull.phantoms");
     }
