@@ -255,12 +255,12 @@ double PointSamples::fit(PointReflectance& point, int rounds, bool lobe) {
     return lit_samples_ >= kFewestSamples && wellConditioned(s.equations[0]);
   };
   const Sums plain = sums(terms_, values_, weights_);
-  unsigned usable = !told_apart(plain) ? kLambert : lobe || rounds > 1 ? kAll : kNoLobe;
+  unsigned usable = !told_apart(plain) ? kLambert : lobe ? kAll : kNoLobe;
   const double error = solve(plain, usable, point);
   if (rounds > 1 && usable == kAll) {
     PointReflectance matt = point;
     const double without = solve(plain, kNoLobe, matt);
-    if (!(lobe && error < kLobePays * without)) usable = kNoLobe, point = matt;
+    if (!(error < kLobePays * without)) usable = kNoLobe, point = matt;
   }
   for (int round = 1; round < rounds; ++round) {
     error_.resize(samples_), robust_.resize(samples_);

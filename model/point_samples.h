@@ -72,7 +72,7 @@ class PointSamples {
   /// The best coefficients for normal, tangent and roughness of `point`, which receives them. `rounds`: 1 plain least
   /// squares, more: with outliers (shadow outlines, indirect light, registration) weighed down.
   /// Returns the weighted squared error over the weighted square of the samples, both of the plain weights.
-  /// With more than one round a lobe stays only where it pays; without `lobe` there is none then.
+  /// With more than one round a lobe stays only where it pays; without `lobe` there is none.
   double fit(PointReflectance& point, int rounds, bool lobe = true);
   /// The model at every sample: [channel][sample], for the `point` that fit() was last called with.
   void evaluate(const PointReflectance& point, std::array<std::vector<float>, 3>& model) const;
