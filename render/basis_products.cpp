@@ -8,14 +8,9 @@
 namespace srf {
 namespace {
 
-constexpr std::uint16_t kNoSlot = 0xffff;
 constexpr int kCacheLine = 64 / sizeof(float);
-constexpr int kHashBits = 10;  // several times the slots
-constexpr std::size_t kHash = std::size_t{1} << kHashBits;
 
 }  // namespace
-
-BasisProducts::BasisProducts() : slot_of_hash_(kHash, kNoSlot) {}
 
 void BasisProducts::begin(const ReflectanceBlock& block, int light_count) {
   SRF_DCHECK(sums_.empty());
@@ -26,29 +21,15 @@ void BasisProducts::begin(const ReflectanceBlock& block, int light_count) {
   for (std::size_t i = 0; i < block.basis.size(); i += kCacheLine) __builtin_prefetch(&block.basis[i]);
 }
 
-std::uint16_t BasisProducts::slotOf(const float* vector) {
-  std::size_t at = (reinterpret_cast<std::uintptr_t>(vector) * 0x9e3779b97f4a7c15u) >> (64 - kHashBits);
-  for (;; at = (at + 1) % kHash) {
-    std::uint16_t& slot = slot_of_hash_[at];
-    if (slot != kNoSlot && vectors_[slot] != vector) continue;
-    if (slot == kNoSlot) {
-      slot = static_cast<std::uint16_t>(vectors_.size());
-      vectors_.push_back(vector);
-      // It is read once the block's other operations have been looked at.
-      for (const float *line = vector, *end = vector + 3 * light_pad_; line < end; line += kCacheLine)
-        __builtin_prefetch(line);
-    }
-    return slot;
-  }
-}
-
 void BasisProducts::add(const ShadingOperation& operation, const LightGather& lights, Rgb& result) {
   const LightWeights& weights = lights.weights[operation.lights];
   if (vectors_.size() + std::size(BasisSum().slot) > kSlots) flush();
-  if (lights_ != &lights) {
-    lights_ = &lights;
-    slot_of_wanted_.assign(lights.vectors.size(), kNoSlot);
-  }
+  slot_of_vector_.sharedBy(lights);
+  const auto add_slot = [this](const float* vector) {
+    vectors_.push_back(vector);
+    return static_cast<std::uint16_t>(vectors_.size() - 1);
+  };
+  const auto floats = 3 * static_cast<std::size_t>(light_pad_);
   BasisSum& sum = sums_.emplace_back();
   sum.operation = &operation;
   const auto share = [&](float part, std::uint16_t slot) {
@@ -57,11 +38,10 @@ void BasisProducts::add(const ShadingOperation& operation, const LightGather& li
   };
   for (int i = 0; i < 4; ++i) {
     if (!(weights.share[i] > 0)) continue;
-    std::uint16_t& slot = slot_of_wanted_[weights.shared[i]];
-    if (slot == kNoSlot) slot = slotOf(lights.vectors[weights.shared[i]]);
-    share(weights.share[i], slot);
+    share(weights.share[i], slot_of_vector_.ofShared(weights.shared[i], vectors_.data(), floats, add_slot));
   }
-  if (weights.own != LightWeights::kNone) share(1, slotOf(lights.own.data() + weights.own));
+  if (weights.own != LightWeights::kNone)
+    share(1, slot_of_vector_.of(lights.own.data() + weights.own, vectors_.data(), floats, add_slot));
   sum.entries = lights.entries.data() + weights.first_entry;
   sum.entry_count = weights.entries;
   sum.result = &result;
@@ -79,8 +59,7 @@ void BasisProducts::flush() {
   basisSums(block_->halves.data(), block_->basis.data(), block_->pad, projected_.data(), sums_);
   sums_.clear();
   vectors_.clear();
-  lights_ = nullptr;
-  std::fill(slot_of_hash_.begin(), slot_of_hash_.end(), kNoSlot);
+  slot_of_vector_.clear();
 }
 
 }  // namespace srf

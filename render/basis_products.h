@@ -10,12 +10,12 @@
 #include "render/basis_kernels.h"
 #include "render/light_weights.h"
 #include "render/shading_operation.h"
+#include "render/vector_slots.h"
 
 namespace srf {
 
 class BasisProducts {
  public:
-  BasisProducts();
   /// Begins a block in a basis under so many lights. It must stay until flush().
   void begin(const ReflectanceBlock& block, int light_count);
   /// Notes an operation and where its result goes. Everything must stay until flush().
@@ -26,14 +26,10 @@ class BasisProducts {
  private:
   static constexpr std::size_t kSlots = 256;  ///< vectors held at once
 
-  std::uint16_t slotOf(const float* vector);
-
   const ReflectanceBlock* block_ = nullptr;
   int light_pad_ = 0;
-  std::vector<const float*> vectors_;        ///< of each slot in use
-  std::vector<std::uint16_t> slot_of_hash_;  ///< of a vector's address, open addressing
-  const LightGather* lights_ = nullptr;      ///< what the next one tells about
-  std::vector<std::uint16_t> slot_of_wanted_;
+  std::vector<const float*> vectors_;  ///< of each slot in use
+  VectorSlots<std::uint16_t, 10> slot_of_vector_;
   std::vector<BasisSum> sums_;
   std::vector<float> projected_;  ///< float[slots][3][block_->pad]
 };

@@ -10,15 +10,12 @@ namespace srf {
 namespace {
 
 constexpr std::uint8_t kNoSlot = 0xff;
-constexpr int kCacheLine = 64 / sizeof(float);
-constexpr std::size_t kHash = 256;  // a power of two, several times the slots
 
 }  // namespace
 
 TexelProducts::TexelProducts()
     // Zeros: a tap of weight 0 reads its texel too.
-    : tables_(std::make_unique<float[]>(static_cast<std::size_t>(kSlots) * kProductTable)),
-      slot_of_hash_(kHash, kNoSlot) {
+    : tables_(std::make_unique<float[]>(static_cast<std::size_t>(kSlots) * kProductTable)) {
   static_assert(kTexels == kTile * kTile && kTexels * kProductRow == kProductTable);
 }
 
@@ -28,28 +25,12 @@ void TexelProducts::begin(const ReflectanceBlock& block, int light_count) {
   if (!block.basis.empty()) return in_basis_.begin(block, light_count);
   light_count_ = light_count;
   slot_of_light_.assign(light_count, kNoSlot);
-  lights_ = nullptr;
 }
 
 std::uint8_t TexelProducts::newSlot(const float* vector, std::uint32_t light) {
   vector_[slots_] = vector;
   light_[slots_] = light;
   return static_cast<std::uint8_t>(slots_++);
-}
-
-std::uint8_t TexelProducts::slotOfVector(const float* vector) {
-  std::size_t at = (reinterpret_cast<std::uintptr_t>(vector) * 0x9e3779b97f4a7c15u) >> 56;
-  for (;; at = (at + 1) % kHash) {
-    std::uint8_t& slot = slot_of_hash_[at];
-    if (slot != kNoSlot && vector_[slot] != vector) continue;
-    if (slot == kNoSlot) {
-      slot = newSlot(vector, 0);
-      // It is read once the block's other operations have been looked at.
-      for (const float *at = vector, *end = vector + 3 * lightPad(light_count_); at < end; at += kCacheLine)
-        __builtin_prefetch(at);
-    }
-    return slot;
-  }
 }
 
 inline std::uint8_t TexelProducts::slotOfLight(std::uint32_t light) {
@@ -66,15 +47,14 @@ void TexelProducts::add(const ShadingOperation& operation, const LightGather& li
   if (own) result = reflectanceDot(block_->halves.data(), block_->pad, operation, lights.own.data() + weights.own);
   const LightEntry* entry = lights.entries.data() + weights.first_entry;
   const LightEntry* const entries_end = entry + weights.entries;
+  const std::size_t vector_floats = 3 * static_cast<std::size_t>(lightPad(light_count_));
+  const auto add_slot = [this](const float* vector) { return newSlot(vector, 0); };
   bool first = true;
   // As many terms as there are tables for; mostly all at once.
   while (first || entry < entries_end) {
     const int now = static_cast<int>(std::min<std::ptrdiff_t>(entries_end - entry, kSlots - 5));
     if (slots_ + 5 + now > kSlots) flush();
-    if (lights_ != &lights) {
-      lights_ = &lights;
-      slot_of_wanted_.assign(lights.vectors.size(), kNoSlot);
-    }
+    slot_of_vector_.sharedBy(lights);
     if (sums_used_ == sums_.size()) sums_.resize(std::max<std::size_t>(512, 2 * sums_.size()));
     if (terms_used_ + kSlots > terms_.size()) terms_.resize(std::max<std::size_t>(8192, 2 * terms_.size()));
     ProductSum& sum = sums_[sums_used_++];
@@ -100,9 +80,7 @@ void TexelProducts::add(const ShadingOperation& operation, const LightGather& li
     if (first) {
       for (int i = 0; i < 4; ++i) {
         if (!(weights.share[i] > 0)) continue;
-        std::uint8_t& slot = slot_of_wanted_[weights.shared[i]];
-        if (slot == kNoSlot) slot = slotOfVector(lights.vectors[weights.shared[i]]);
-        share(weights.share[i], slot);
+        share(weights.share[i], slot_of_vector_.ofShared(weights.shared[i], vector_, vector_floats, add_slot));
       }
     }
     sum.share_count = shares;
@@ -163,10 +141,9 @@ void TexelProducts::flush() {
   sumProducts(tables_.get(), sums_.data(), sums_used_);
   sums_used_ = 0;
   terms_used_ = 0;
-  lights_ = nullptr;
+  slot_of_vector_.clear();
   for (int i = 0; i < slots_; ++i)
     if (!vector_[i]) slot_of_light_[light_[i]] = kNoSlot;
-  std::fill(slot_of_hash_.begin(), slot_of_hash_.end(), kNoSlot);
   slots_ = 0;
 }
 

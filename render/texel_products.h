@@ -13,6 +13,7 @@
 #include "render/light_weights.h"
 #include "render/shading_operation.h"
 #include "render/texel_kernels.h"
+#include "render/vector_slots.h"
 
 namespace srf {
 
@@ -41,7 +42,6 @@ class TexelProducts {
   static constexpr int kSlots = 64;  ///< tables held at once: one bit each
   static constexpr int kTexels = 256;
 
-  std::uint8_t slotOfVector(const float* vector);
   std::uint8_t slotOfLight(std::uint32_t light);
   std::uint8_t newSlot(const float* vector, std::uint32_t light);
   void fill();
@@ -55,9 +55,7 @@ class TexelProducts {
   const float* vector_[kSlots];              ///< of each slot; none: a single light
   std::uint32_t light_[kSlots];              ///< of each slot
   std::vector<std::uint8_t> slot_of_light_;  ///< kNoSlot: none
-  std::vector<std::uint8_t> slot_of_hash_;   ///< of a vector's address, open addressing
-  const LightGather* lights_ = nullptr;      ///< what the next ones tell about
-  std::vector<std::uint8_t> slot_of_wanted_;
+  VectorSlots<std::uint8_t, 8> slot_of_vector_;
   std::uint64_t wanted_[kTexels] = {};  ///< by texel: slots
   std::vector<ProductSum> sums_;
   std::size_t sums_used_ = 0;
