@@ -27,6 +27,14 @@ struct TriangleMesh {
   }
 };
 
+/// The point of a triangle at barycentrics (1 - b1 - b2, b1, b2).
+template <class Space>
+Point<Space> pointOfTriangle(const std::vector<Point<Space>>& positions, const Triangle& triangle, double b1,
+                             double b2) {
+  const auto& [a, b, c] = triangle;
+  return positions[a] + (b1 * (positions[b] - positions[a]) + b2 * (positions[c] - positions[a]));
+}
+
 /// A mesh whose space is not stated in the file; readers of capture data name it.
 using AcquisitionMesh = TriangleMesh<AcquisitionSpace>;
 

@@ -335,9 +335,8 @@ void DeformedModel::blendTriangles(std::span<const Ray<ObjectSpace>> rays, std::
     if (!met[k].hit()) continue;
     const Triangle& corners = model_.triangles[met[k].triangle];
     const double b1 = met[k].b1, b2 = met[k].b2, b0 = std::max(0.0, 1 - b1 - b2);
-    const auto& [a, b, c] = corners;
-    hit.p0 = model_.p0[a] + (b1 * (model_.p0[b] - model_.p0[a]) + b2 * (model_.p0[c] - model_.p0[a]));
-    hit.p_star = p_star_[a] + (b1 * (p_star_[b] - p_star_[a]) + b2 * (p_star_[c] - p_star_[a]));
+    hit.p0 = pointOfTriangle(model_.p0, corners, b1, b2);
+    hit.p_star = pointOfTriangle(p_star_, corners, b1, b2);
     hit.distance = dot(hit.p_star - rays[k].origin, rays[k].direction);
     const double weights[3] = {b0, b1, b2};
     hit.count = 3;
@@ -352,7 +351,7 @@ void DeformedModel::blendTriangles(std::span<const Ray<ObjectSpace>> rays, std::
       hit.point[place] = corners[i];
     }
     const std::size_t lane = frames.count++;
-    of[lane] = k, reference[lane] = a;
+    of[lane] = k, reference[lane] = corners[0];
     double handedness = 0;
     for (int i = 0; i < 3; ++i) {
       const Mat3& frame = rest_frame_[hit.point[i]].raw();
@@ -367,7 +366,7 @@ void DeformedModel::blendTriangles(std::span<const Ray<ObjectSpace>> rays, std::
       }
       handedness += static_cast<double>(hit.weight[i]) * carried.handedness;
     }
-    for (int axis = 0; axis < 3; ++axis) frames.reference[axis][lane] = rest_frame_[a].raw().row[axis].x;
+    for (int axis = 0; axis < 3; ++axis) frames.reference[axis][lane] = rest_frame_[corners[0]].raw().row[axis].x;
     hit.tangents.handedness = handedness < 0 ? -1 : 1;
     if (frames.count == kFrameLanes) blend();
   }

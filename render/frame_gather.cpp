@@ -66,10 +66,8 @@ void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model,
       out.places.push_back({false, 0, {}});
       continue;
     }
-    const auto& [a, b, c] = model.triangles[hit.triangle];
-    const double b1 = hit.b1, b2 = hit.b2;
     out.places.push_back(
-        {true, hit.distance, model.p0[a] + (b1 * (model.p0[b] - model.p0[a]) + b2 * (model.p0[c] - model.p0[a]))});
+        {true, hit.distance, pointOfTriangle(model.p0, model.triangles[hit.triangle], hit.b1, hit.b2)});
   }
   out.shaded.clear();
   divideHits(camera, in.pixel, out.places, out.shaded, between);
