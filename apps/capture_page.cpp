@@ -8,12 +8,12 @@
 #include "apps/plot.h"
 #include "apps/program.h"
 #include "base/image_io.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
 
 using html::escaped;
-using html::format;
 using plot::Axis;
 using plot::percent;
 

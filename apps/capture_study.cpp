@@ -8,7 +8,6 @@
 #include <random>
 #include <utility>
 
-#include "apps/html.h"
 #include "base/error.h"
 #include "base/files.h"
 #include "base/json.h"
@@ -19,8 +18,6 @@
 
 namespace srf {
 namespace {
-
-using html::format;
 
 constexpr std::size_t kFewest = 4;  // views, or lights: of fewer none is left out
 constexpr double kLeastLit = 0.02;  // share of the object that a photograph must show for its prediction to tell

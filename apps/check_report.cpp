@@ -10,12 +10,12 @@
 #include "apps/program.h"
 #include "base/files.h"
 #include "base/image_io.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
 
 using html::escaped;
-using html::format;
 
 constexpr const char* kVerdictStyle = R"(
 td.ok{color:#3a7d44}td.warning{color:#b36b00}td.fault{color:#b3261e;font-weight:600}.mend{color:#666}

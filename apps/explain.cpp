@@ -7,15 +7,13 @@
 #include <nlohmann/json.hpp>
 
 #include "apps/explain_plan.h"
-#include "apps/html.h"
 #include "apps/program.h"
 #include "base/numeric.h"
+#include "base/text.h"
 #include "render/animation.h"
 
 namespace srf {
 namespace {
-
-using html::format;
 
 constexpr std::size_t kMostLights = 8;  // listed one by one; of the others only how many
 

@@ -11,7 +11,6 @@
 
 namespace srf::html {
 
-std::string format(const char* pattern, ...) __attribute__((format(printf, 1, 2)));
 std::string escaped(const std::string& text);
 std::string base64(const std::vector<std::byte>& bytes);
 extern const char* const kStyle;  ///< the style sheet

@@ -8,11 +8,11 @@
 #include "apps/html.h"
 #include "base/files.h"
 #include "base/image_io.h"
+#include "base/text.h"
 
 namespace srf::plot {
 
 using html::base64;
-using html::format;
 
 std::string percent(double error) {
   return error == 0 ? "0 %" : format("%.3g %%", 100 * error);

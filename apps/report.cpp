@@ -7,13 +7,13 @@
 #include "apps/program.h"
 #include "base/files.h"
 #include "base/numeric.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
 
 using html::base64;
 using html::escaped;
-using html::format;
 
 std::string viewName(const StoredView& view) {
   return escaped(view.name.substr(0, 60));

@@ -4,7 +4,6 @@
 #include <nlohmann/json.hpp>
 
 #include "apps/capture_page.h"
-#include "apps/html.h"
 #include "apps/program.h"
 #include "apps/study_file.h"
 #include "apps/study_page.h"
@@ -13,6 +12,7 @@
 #include "base/files.h"
 #include "base/image_io.h"
 #include "base/numeric.h"
+#include "base/text.h"
 #include "field/srf_folder.h"
 #include "render/animation.h"
 
@@ -20,7 +20,6 @@ namespace srf {
 namespace {
 
 namespace fs = std::filesystem;
-using html::format;
 
 constexpr int kPasses = 2;          // of a setting over the frames
 constexpr int kLeastPicture = 96;   // pixels a side that a study's pictures keep

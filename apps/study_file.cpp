@@ -5,7 +5,6 @@
 #include <iterator>
 #include <nlohmann/json.hpp>
 
-#include "apps/html.h"
 #include "base/error.h"
 #include "base/image_metrics.h"
 #include "base/json.h"
@@ -14,8 +13,6 @@
 
 namespace srf {
 namespace {
-
-using html::format;
 
 Json keysToJson(const SceneKeys& keys) {
   Json out = Json::object();

@@ -9,12 +9,12 @@
 #include "apps/program.h"
 #include "base/image_io.h"
 #include "base/image_metrics.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
 
 using html::escaped;
-using html::format;
 using plot::Axis;
 using plot::kErrorColour;
 using plot::kTimeColour;
@@ -126,8 +126,7 @@ std::string recommendations(const Study& study) {
         100 * study.leastPromised());
   return out +
          "<p>The promised error is what 9 in 10 frames keep, going by how the studied ones scatter, and no less than "
-         "the "
-         "worst of these; the promised time is the longest and a tenth more. To use one: <code>srf render " +
+         "the worst of these; the promised time is the longest and a tenth more. To use one: <code>srf render " +
          escaped(study.scene.substr(0, 120)) +
          " --quality study.json --target-error 0.01</code> (or <code>--target-time 0.1</code>).</p>\n";
 }

@@ -3,13 +3,11 @@
 #include <algorithm>
 #include <cmath>
 
-#include "apps/html.h"
 #include "base/image_io.h"
+#include "base/text.h"
 
 namespace srf {
 namespace {
-
-using html::format;
 
 constexpr const char* kSamples = "/samples";
 constexpr const char* kSharing = "/accuracy/light_sharing";

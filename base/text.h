@@ -1,10 +1,22 @@
 // Numbers as messages show them, words as tables hold them.
 #pragma once
 
+#include <cstdarg>
 #include <cstdio>
 #include <string>
 
 namespace srf {
+
+/// As printf has it; what lies beyond 511 characters is left out.
+inline std::string format(const char* pattern, ...) __attribute__((format(printf, 1, 2)));
+inline std::string format(const char* pattern, ...) {
+  char text[512];
+  va_list values;
+  va_start(values, pattern);
+  std::vsnprintf(text, sizeof text, pattern, values);
+  va_end(values);
+  return text;
+}
 
 /// So many digits at most: "0.05", "1e-09", "512".
 inline std::string shortNumber(double x, int digits = 6) {
