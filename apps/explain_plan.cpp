@@ -202,12 +202,12 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
   if (factor > 0) plan.back()["factor"] = factor;
   add("shared light weights", !rigid && scene.accuracy.light_sharing > 0,
       "/accuracy/light_sharing is " + shortNumber(scene.accuracy.light_sharing) + " degrees");
-  add("sparse shading", scene.accuracy.sparse_shading && samples == 1,
+  const bool sparse = scene.accuracy.sparse_shading && samples == 1;
+  add("sparse shading", sparse,
       !scene.accuracy.sparse_shading ? "/accuracy/shading is \"every\""
       : samples > 1                  ? "/accuracy/shading is \"sparse\", but a pixel has several samples"
                                      : "/accuracy/shading is \"sparse\"",
-      scene.accuracy.sparse_shading && samples == 1 ? "of smooth parts a third of the pixels, the others between them"
-                                                    : "",
+      sparse ? "of smooth parts a third of the pixels, the others between them" : "",
       shortNumber(counted("pixels.between")) + " pixels");
   add("point lights", lights.near_lights + lights.from_file > 0,
       std::to_string(lights.near_lights) + " in /lights" +

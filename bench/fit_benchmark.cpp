@@ -1,6 +1,6 @@
 // What the fit of the reflectance model takes at a point, beside a bare kernel over the same samples: the model's terms
-// and three rounds of the sums of its normal equations, with nothing solved and nothing decided. One
-// thread, in its processor time.
+// and three rounds of the sums of its normal equations, with nothing solved and nothing decided. One thread, in its
+// processor time.
 #include <cstdio>
 #include <cstring>
 #include <ctime>

@@ -22,7 +22,7 @@ constexpr int kWhole = 8;               // bits of a number that stand apart whe
 constexpr std::size_t kLow = kNumbers;  // bytes of these
 
 /// 15 bits are kept as 16, so that half a byte tells every width.
-int widthOf(unsigned code) {
+constexpr int widthOf(unsigned code) {
   return code == 15 ? 16 : static_cast<int>(code);
 }
 
@@ -139,7 +139,7 @@ constexpr std::array<Taking, 16> kTakings = [] {
   std::array<Taking, 16> all{};
   for (unsigned code = 0; code < 16; ++code) {
     Taking& t = all[code];
-    const int width = code == 15 ? 16 : static_cast<int>(code);
+    const int width = widthOf(code);
     const int packed = width > kWhole ? width - kWhole : width;
     for (int i = 0; i < 8; ++i) {
       const int bit = i * packed;

@@ -29,9 +29,8 @@ struct BasisSum {
 };
 /// result[c] = sum over k of (sum over taps of tap * block[texel][c][k]) * (sum over vectors of share *
 /// projected[slot][c][k] + sum over entries of weight[c] * basis[light][k]). block: half[16][16][3][rank_pad];
-/// projected: float[][3][rank_pad]. Terms in this order, then the lanes. Error: at most (share_count + entry_count +
-/// rank_pad / 16
-/// + 9) 2^-24 of the sum of the terms' absolute values.
+/// projected: float[][3][rank_pad]. Terms in this order, then the lanes. Error: at most 2^-24 (share_count +
+/// entry_count + rank_pad / 16 + 9) of the sum of the terms' absolute values.
 void basisSums(const std::uint16_t* block, const float* basis, int rank_pad, const float* projected,
                std::span<const BasisSum> sums);
 

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # The hard cases at full size, in every build: optimised, with the sanitizers, without optimisation, without wide code.
 # Writes doc/hard_cases.md and its pictures from what the tests measured. Arguments: the builds to run (presets; all
-# without any). `release` runs every test, the others those that measured a hard case there: in an hour at -O0, not in a
-# day. SRF_NIGHTLY=0 runs the size that goes with each change.
+# without any). `release` runs every test, the others those that measured a hard case there.
+# SRF_NIGHTLY=0 runs the size that goes with each change.
 #   tools/nightly.sh                    hours
 #   tools/nightly.sh release debug      two builds
 #   SRF_NIGHTLY=0 tools/nightly.sh      every build at the small size
