@@ -87,16 +87,6 @@ void checkAllPhotographs(const Capture& capture, Reporter& reporter) {
   });
 }
 
-StoredFile storeHull(const AcquisitionMesh& mesh, const fs::path& folder) {
-  const fs::path fresh = folder / "shape" / "hull.ply";
-  writePly(fresh, mesh);
-  const auto bytes = readBinaryFile(fresh);
-  const std::uint64_t hash = contentHash(bytes.data(), bytes.size());
-  const std::string name = "shape/hull-" + hexHash(hash) + ".ply";
-  fs::rename(fresh, folder / name);
-  return {"hull", "shape", name, hash};
-}
-
 void recordHull(const VisualHull& hull, Reporter& reporter) {
   reporter.figure("hull.volume", meshVolume(hull.mesh));
   reporter.figure("hull.cell", hull.cell);
@@ -149,6 +139,16 @@ std::vector<StoredView> registerViews(const Capture& capture, const std::vector<
 }
 
 }  // namespace
+
+StoredFile storeHull(const AcquisitionMesh& mesh, const fs::path& folder) {
+  const fs::path fresh = folder / "shape" / "hull.ply";
+  writePly(fresh, mesh);
+  const auto bytes = readBinaryFile(fresh);
+  const std::uint64_t hash = contentHash(bytes.data(), bytes.size());
+  const std::string name = "shape/hull-" + hexHash(hash) + ".ply";
+  fs::rename(fresh, folder / name);
+  return {"hull", "shape", name, hash};
+}
 
 SrfManifest acquireField(const Capture& given, const fs::path& out, const AcquireOptions& options, Reporter& reporter) {
   std::optional<Capture> adjusted;

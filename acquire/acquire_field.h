@@ -35,4 +35,7 @@ struct AcquireOptions {
 SrfManifest acquireField(const Capture& capture, const std::filesystem::path& out, const AcquireOptions& options,
                          Reporter& reporter);
 
+/// Writes a hull into the folder; the entry that a manifest names it by.
+StoredFile storeHull(const AcquisitionMesh& mesh, const std::filesystem::path& folder);
+
 }  // namespace srf

@@ -8,15 +8,9 @@
 #include "acquire/exact_hull.h"
 #include "apps/program.h"
 #include "base/error.h"
+#include "base/files.h"
 
 namespace {
-
-std::uint64_t bytesOnDisk(const std::filesystem::path& folder) {
-  std::uint64_t bytes = 0;
-  for (const auto& entry : std::filesystem::recursive_directory_iterator(folder))
-    if (entry.is_regular_file()) bytes += entry.file_size();
-  return bytes;
-}
 
 void printSummary(const srf::SrfManifest& manifest, const std::string& out, const srf::Reporter& reporter) {
   std::printf("%s\n", out.c_str());
@@ -36,7 +30,7 @@ void printSummary(const srf::SrfManifest& manifest, const std::string& out, cons
       std::printf("%s %s %.4f", i ? "," : "", views[i].name.c_str(), views[i].silhouette_iou);
     std::printf("\n");
   }
-  std::printf("  on disk      %.1f MB\n", static_cast<double>(bytesOnDisk(out)) / 1e6);
+  std::printf("  on disk      %.1f MB\n", static_cast<double>(srf::bytesInFolder(out)) / 1e6);
 }
 
 // '#rrggbb' to 0..1.

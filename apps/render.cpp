@@ -13,13 +13,19 @@ namespace {
 /// The keys of the study's setting that keeps the targets, before the user's own.
 std::vector<std::string> withQuality(const std::string& file, std::optional<double> error,
                                      std::optional<double> seconds, const std::string& scene_file,
-                                     const std::vector<std::string>& own, srf::Reporter& reporter) {
+                                     const std::string& srf_folder, const std::vector<std::string>& own,
+                                     srf::Reporter& reporter) {
   using namespace srf;
   const Study study = readStudy(file);
   if (hexHash(readScene(scene_file, {}, reporter).content_hash) != study.scene_hash)
     reporter.warn(file + ": is the study of another scene (" + study.scene +
                   "), or of this one before it was changed: " + "its promises may not hold");
-  std::vector<std::string> overrides = overridesOf(chooseSetting(study, error, seconds, file).keys);
+  const SceneKeys& chosen = chooseSetting(study, error, seconds, file).keys;
+  if (const auto field = chosen.find(kFieldKey);
+      !srf_folder.empty() && field != chosen.end() && field->second != study.exact.at(kFieldKey))
+    reporter.warn(file + ": promises what the field " + pathOf(field->second).string() + " gives, but --srf names " +
+                  srf_folder);
+  std::vector<std::string> overrides = overridesOf(chosen);
   std::string text = file + ":";
   for (const std::string& set : overrides) text += " " + set;
   reporter.result(text);
@@ -60,7 +66,9 @@ int main(int argc, char** argv) {
     if (!frames.empty()) options.frames = parseFrames(frames, "--frames");
     if (quality.empty() != (!target_error && !target_time))
       throw Error(ErrorKind::usage, "goes with --target-error or --target-time, and they with it", "--quality");
-    if (!quality.empty()) overrides = withQuality(quality, target_error, target_time, scene_file, overrides, reporter);
+    if (!quality.empty())
+      overrides = overrides =
+          withQuality(quality, target_error, target_time, scene_file, options.srf.string(), overrides, reporter);
     const Scene scene = readScene(scene_file, overrides, reporter);
     options.finished = FrameLines(reporter);
     options.support = program.statsWanted();

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "apps/capture_page.h"
+#include "apps/field_variants.h"
 #include "apps/program.h"
 #include "apps/study_file.h"
 #include "apps/study_page.h"
@@ -21,9 +22,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int kPasses = 2;          // of a setting over the frames
-constexpr int kLeastPicture = 96;   // pixels a side that a study's pictures keep
-constexpr double kOneAtATime = 18;  // settings of about the exact one's cost; a planning figure
+constexpr int kPasses = 2;              // of a setting over the frames
+constexpr int kLeastPicture = 96;       // pixels a side that a study's pictures keep
+constexpr double kOneAtATime = 18;      // settings of about the exact one's cost, besides fields; a planning figure
+constexpr double kMakingAField = 0.05;  // of the budget, at most
 // Of the budget: where one knob at a time should end, and where the search does, for times at full size to follow.
 constexpr double kKnobsEnd = 0.5, kSearchEnd = 0.8;
 
@@ -45,7 +47,9 @@ double parseBudget(const std::string& text) {
 
 std::string shortText(const SceneKeys& keys) {
   std::string out;
-  for (const auto& [key, value] : keys) out += (out.empty() ? "" : " ") + key.substr(key.rfind('/') + 1) + "=" + value;
+  for (const auto& [key, value] : keys)
+    out += (out.empty() ? "" : " ") + key.substr(key.rfind('/') + 1) + "=" +
+           (key == kFieldKey ? pathOf(value).filename().string() : value);
   return out;
 }
 
@@ -54,6 +58,7 @@ struct Options {
   fs::path srf;
   double budget = 600;
   int frames = 3;
+  bool other_fields = true;  ///< makes fields to try too
   std::size_t memory_bytes = 0;
 };
 
@@ -64,13 +69,17 @@ class Studying {
   void run() {
     const Scene scene = readScene(options_.scene, {}, reporter_);
     open(scene);
+    if (options_.other_fields)
+      field_knobs_ =
+          fieldKnobs(study_.field, scene.deformation.movesVertices(), kMakingAField * options_.budget, reporter_);
     if (study_.exact.empty()) plan(scene);
-    study_.knobs = knobsOf(study_.exact, study_.own, options_.memory_bytes);
+    if (!study_.exact.contains(kFieldKey)) field_knobs_.clear();
+    study_.knobs = knobsOf(study_.exact, study_.own, options_.memory_bytes, field_knobs_, folder_ / "fields");
     measureExact(scene);
     const bool whole = measureAll();
     study_.complete = whole;
     save();
-    keepFrontPictures();
+    keepTheFront();
     writeTextFile(folder_ / "study.csv", studyTable(study_));
     writeTextFile(folder_ / "study.html", studyPage(study_, [&](const MeasuredSetting& m) { return picture(m); }));
     reporter_.result((folder_ / "study.html").string() +
@@ -140,6 +149,7 @@ class Studying {
         reporter_.warn((folder_ / "study.json").string() +
                        ": is of another scene, field or frames; the study begins anew");
         fs::remove_all(folder_ / "frames");
+        fs::remove_all(folder_ / "fields");
         study_ = {};
       }
     }
@@ -155,7 +165,7 @@ class Studying {
   /// Renders one frame to learn what the scene uses and what it costs, and settles what "exact" is within the budget.
   void plan(const Scene& scene) {
     Reporter quiet(ProgressMode::none, LogLevel::error);
-    AnimationOptions options = animationOptions();
+    AnimationOptions options = animationOptions({});
     options.output = (folder_ / "frames" / "probe.####.exr").string();
     options.frames = {middleFrame(), middleFrame()};
     // As exact as exactSetting would have it, but for samples and lights: their cost is told by their number.
@@ -169,10 +179,18 @@ class Studying {
     probe.shadow_rays = counters.contains("shadow_rays");
     probe.guided = counters.contains("model_values") && scene.interpolation != Interpolation::plain;
     const double a_frame =
-        kKnobsEnd * options_.budget / (kOneAtATime * kPasses * static_cast<double>(study_.frames.size()));
+        kKnobsEnd * options_.budget / (plannedSettings() * kPasses * static_cast<double>(study_.frames.size()));
     study_.own = ownSetting(scene, probe);
     study_.exact = exactSetting(scene, probe, a_frame);
+    study_.own[kFieldKey] = study_.exact[kFieldKey] = pathText(study_.field);
     choosePictureSize(scene, exactSeconds(scene, probe, study_.exact), a_frame);
+  }
+
+  /// One knob at a time, in settings of about the exact one's cost.
+  double plannedSettings() const {
+    double settings = kOneAtATime;
+    for (const FieldKnob& knob : field_knobs_) settings += static_cast<double>(knob.variants.size());
+    return settings;
   }
 
   /// Where an exact frame takes longer than the time allows, the study's pictures are smaller than the scene's.
@@ -197,7 +215,7 @@ class Studying {
   /// Seconds of a warm frame of full size.
   double fullSizeSeconds(const SceneKeys& keys) const {
     Reporter quiet(ProgressMode::none, LogLevel::error);
-    AnimationOptions options = animationOptions();
+    AnimationOptions options = animationOptions(keys);
     options.output = (folder_ / "frames" / "full.####.exr").string();
     options.frames.assign(kPasses, middleFrame());
     const auto frames = renderAnimation(readScene(options_.scene, overridesOf(keys), quiet), options, quiet);
@@ -216,11 +234,23 @@ class Studying {
     m.spread *= change, m.cold *= change;
   }
 
-  AnimationOptions animationOptions() const {
+  AnimationOptions animationOptions(const SceneKeys& keys) const {
     AnimationOptions options;
-    options.srf = study_.field;
+    const auto field = keys.find(kFieldKey);
+    options.srf = field == keys.end() ? fs::path(study_.field) : pathOf(field->second);
     options.memory_bytes = options_.memory_bytes;
     return options;
+  }
+  /// Where the setting's field is one of the study's own and not there yet.
+  void makeField(const SceneKeys& keys) const {
+    if (!keys.contains(kFieldKey)) return;
+    const fs::path field = pathOf(keys.at(kFieldKey));
+    for (const FieldKnob& knob : field_knobs_)
+      for (const FieldVariant& variant : knob.variants)
+        if (field.filename() == variant.name && field != pathOf(study_.exact.at(kFieldKey)) && !isSrfFolder(field)) {
+          Reporter quiet(ProgressMode::none, LogLevel::error);
+          makeVariant(study_.field, variant, field, options_.memory_bytes, quiet);
+        }
   }
 
   /// The all-exact pictures; smaller ones than planned where they turn out to take too long.
@@ -235,7 +265,7 @@ class Studying {
       const double renderings = kPasses * static_cast<double>(study_.frames.size());
       if (study_.measured.size() == 1)
         choosePictureSize(scene, last_seconds_ / renderings,
-                          (kKnobsEnd * options_.budget - elapsed()) / (kOneAtATime * renderings));
+                          (kKnobsEnd * options_.budget - elapsed()) / (plannedSettings() * renderings));
       if (study_.divisor != planned) {
         study_.measured.clear();
         measure(study_.exact, 0);
@@ -283,8 +313,9 @@ class Studying {
   void measure(const SceneKeys& keys, std::size_t memory) {
     const double start = elapsed();
     Reporter quiet(ProgressMode::none, LogLevel::error);
+    makeField(keys);
     const Scene scene = readScene(options_.scene, overrides(readScene(options_.scene, {}, quiet), keys), quiet);
-    AnimationOptions options = animationOptions();
+    AnimationOptions options = animationOptions(keys);
     options.output = pattern(keys, memory);
     if (memory) options.memory_bytes = memory;
     for (int pass = 0; pass < kPasses; ++pass)
@@ -314,6 +345,7 @@ class Studying {
     const auto figure = [&](const char* name) { return figures.contains(name) ? figures.at(name) : 0; };
     m.bytes_read = figure("cache.bytes_read");
     m.peak_bytes = figure("cache.peak_bytes");
+    m.field_bytes = static_cast<double>(bytesInFolder(options.srf));
     study_.measured.push_back(m);
     save();
     ++rendered_;
@@ -323,9 +355,15 @@ class Studying {
     last_seconds_ = elapsed() - start;
   }
 
-  /// A setting that another one beats stays beaten: its picture is not shown again.
-  void keepFrontPictures() const {
+  /// A setting that another one beats stays beaten: its picture is not shown again, nor its field used.
+  void keepTheFront() const {
     const auto front = study_.front();
+    for (const FieldKnob& knob : field_knobs_)
+      for (const FieldVariant& variant : knob.variants) {
+        const fs::path field = folder_ / "fields" / variant.name;
+        const auto uses = [&](const MeasuredSetting* m) { return m->keys.at(kFieldKey) == pathText(field); };
+        if (study_.complete && std::none_of(front.begin(), front.end(), uses)) fs::remove_all(field);
+      }
     for (const MeasuredSetting& m : study_.measured)
       if (m.keys != study_.exact && m.keys != study_.own && std::find(front.begin(), front.end(), &m) == front.end())
         fs::remove(frameFile(pattern(m.keys, m.memory_bytes), middleFrame()));
@@ -335,6 +373,7 @@ class Studying {
   Reporter& reporter_;
   const std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
   fs::path folder_;
+  std::vector<FieldKnob> field_knobs_;
   Study study_;
   std::size_t rendered_ = 0;
   double last_seconds_ = 0;
@@ -377,6 +416,9 @@ int main(int argc, char** argv) {
       .add_option("--frames", options.frames, "number of the scene's frames to study, spread over the animation")
       ->check(CLI::Range(1, 1000))
       ->capture_default_str();
+  program.app().add_flag("!--no-other-fields", options.other_fields,
+                         "turn the scene's knobs alone; else fields of other codings, hulls and surfels are made too, "
+                         "in the study's folder");
   program.app().add_option("--capture", capture, "X.srf: study the capture that it holds, no scene");
   program.app()
       .add_option("--pictures", capture_options.pictures, "with --capture: photographs to foretell, of each kind")

@@ -62,6 +62,7 @@ Json settingToJson(const MeasuredSetting& m) {
   out["full_size_measured"] = m.full_size_measured;
   out["bytes_read"] = m.bytes_read;
   out["peak_cache_bytes"] = m.peak_bytes;
+  out["field_bytes"] = m.field_bytes;
   out["against_exact"] = errorsToJson(m.exact);
   out["against_reference"] = errorsToJson(m.truth);
   return out;
@@ -78,6 +79,7 @@ MeasuredSetting settingFrom(const JsonNode& node, std::size_t frames) {
   if (const auto measured = node.find("full_size_measured")) m.full_size_measured = measured->boolean();
   m.bytes_read = node["bytes_read"].number();
   m.peak_bytes = node["peak_cache_bytes"].number();
+  if (const auto bytes = node.find("field_bytes")) m.field_bytes = bytes->number();
   m.exact = errorsFrom(node["against_exact"]);
   m.truth = errorsFrom(node["against_reference"]);
   if (m.exact.size() != frames) throw node["against_exact"].error("holds other frames than /frames");
@@ -105,6 +107,14 @@ std::vector<std::string> overridesOf(const SceneKeys& keys) {
   std::vector<std::string> overrides;
   for (const auto& [key, text] : keys) overrides.push_back(key + "=" + text);
   return overrides;
+}
+
+std::string pathText(const std::filesystem::path& path) {
+  return Json(std::filesystem::absolute(path).lexically_normal().string()).dump();
+}
+
+std::filesystem::path pathOf(const std::string& text) {
+  return Json::parse(text).get<std::string>();
 }
 
 FrameError frameError(const ImageF& image, const ImageF& reference) {
@@ -248,7 +258,8 @@ void writeStudy(const std::filesystem::path& file, const Study& study) {
 std::string studyTable(const Study& study) {
   const char* const kErrors[] = {
       "relative_error_mean", "relative_error_p99_9", "psnr_db", "relative_mse", "ssim", "flip"};
-  std::string out = "setting,memory_bytes,frame,seconds,seconds_spread,seconds_cold,bytes_read,peak_cache_bytes";
+  std::string out =
+      "setting,memory_bytes,frame,seconds,seconds_spread,seconds_cold,bytes_read,peak_cache_bytes,field_bytes";
   for (const char* name : kErrors) out += std::string(",") + name;
   for (const char* name : kErrors) out += std::string(",reference_") + name;
   out += ",on_front\n";
@@ -258,8 +269,8 @@ std::string studyTable(const Study& study) {
     for (const std::string& set : overridesOf(m.keys)) keys += (keys.empty() ? "" : " ") + set;
     const std::string quoted = csvQuoted(keys);
     for (std::size_t f = 0; f < study.frames.size(); ++f) {
-      out += quoted + format(",%zu,%d,%.6g,%.6g,%.6g,%.0f,%.0f", m.memory_bytes, study.frames[f], m.seconds[f],
-                             m.spread, m.cold, m.bytes_read, m.peak_bytes);
+      out += quoted + format(",%zu,%d,%.6g,%.6g,%.6g,%.0f,%.0f,%.0f", m.memory_bytes, study.frames[f], m.seconds[f],
+                             m.spread, m.cold, m.bytes_read, m.peak_bytes, m.field_bytes);
       const auto errors = [&](const std::vector<FrameError>& of) {
         if (of.empty()) return std::string(",,,,,,");
         const FrameError& e = of[f];

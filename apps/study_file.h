@@ -15,6 +15,11 @@ namespace srf {
 /// Keys of a scene and their values as JSON text: "/accuracy/views" to "4". As by --set.
 using SceneKeys = std::map<std::string, std::string>;
 std::vector<std::string> overridesOf(const SceneKeys& keys);
+/// The key that names the field. Values: absolute paths.
+inline constexpr const char* kFieldKey = "/srf";
+/// A path as the value of a key, and back.
+std::string pathText(const std::filesystem::path& path);
+std::filesystem::path pathOf(const std::string& text);
 
 /// How far a frame is from the one it should be.
 struct FrameError {
@@ -36,6 +41,7 @@ struct MeasuredSetting {
   bool full_size_measured = true;  ///< by a frame of full size; else foretold from the pixels alone
   double cold = 0;                 ///< the first frame of the first run: files opened, nothing in memory, seconds
   double bytes_read = 0, peak_bytes = 0;  ///< of the field's cache
+  double field_bytes = 0;                 ///< of the field's files
 
   double worstError() const;  ///< largest mean relative error of a studied frame
   double worstTruth() const;  ///< the same against --reference; 0 without it

@@ -29,7 +29,9 @@ constexpr double kSteady = 0.05;  // what a curve may fall back and still be cal
 
 std::string keysText(const SceneKeys& keys) {
   std::string out;
-  for (const auto& [key, value] : keys) out += (out.empty() ? "" : ", ") + key.substr(1) + " " + value;
+  for (const auto& [key, value] : keys)
+    out += (out.empty() ? "" : ", ") + key.substr(1) + " " +
+           (key == kFieldKey ? pathOf(value).filename().string() : value);
   return escaped(out);
 }
 
@@ -164,10 +166,13 @@ std::string knobPlot(const Study& study, const Knob& knob) {
          format("<text x=\"%g\" y=\"%g\" text-anchor=\"middle\">", (left + width - right) / 2, height - 6) +
          escaped(unit) + "exact at the left</text></svg>\n";
   const MeasuredSetting &exact = *measured.front(), &cheap = *measured.back();
-  return "<div style=\"display:inline-block;width:460px;vertical-align:top\">" + out + "<p>" + escaped(knob.name) +
-         " " + escaped(labels.back()) + " instead of " + escaped(labels.front()) +
-         format(" costs %s of error and takes %.2f of the time.", percent(cheap.worstError()).c_str(),
+  return "<div style=\"display:inline-block;width:440px;margin-right:20px;vertical-align:top\">" + out + "<p>" +
+         escaped(knob.name) + " " + escaped(labels.back()) + " instead of " + escaped(labels.front()) +
+         format(" costs %s of error and takes %.2f of the time", percent(cheap.worstError()).c_str(),
                 cheap.worstSeconds() / exact.worstSeconds()) +
+         (cheap.field_bytes != exact.field_bytes
+              ? format(", in files of %.2f of the size.", cheap.field_bytes / exact.field_bytes)
+              : ".") +
          (curve.error_back > kSteady && !knob.unit.empty()
               ? format(" On the way the error falls back by %.0f %%.", 100 * curve.error_back)
               : "") +

@@ -145,7 +145,8 @@ double exactSeconds(const Scene& scene, const SceneProbe& probe, const SceneKeys
   return seconds;
 }
 
-std::vector<Knob> knobsOf(const SceneKeys& exact, const SceneKeys& own, std::size_t memory_bytes) {
+std::vector<Knob> knobsOf(const SceneKeys& exact, const SceneKeys& own, std::size_t memory_bytes,
+                          const std::vector<FieldKnob>& fields, const std::filesystem::path& folder) {
   std::vector<Knob> knobs;
   std::vector<std::string> environments;
   for (const auto& [key, value] : exact)
@@ -166,6 +167,16 @@ std::vector<Knob> knobsOf(const SceneKeys& exact, const SceneKeys& own, std::siz
   const bool bisector = exact.at(kFrame) == "\"bisector\"";
   knobs.push_back(
       choice("Local frame", kFrame, exact, {bisector ? "bisector" : "polar", bisector ? "polar" : "bisector"}, false));
+  for (const FieldKnob& field : fields) {
+    Knob out{field.name, field.unit, {exact}, {field.own}, true, {}};
+    for (const FieldVariant& variant : field.variants) {
+      SceneKeys changed = exact;
+      changed[kFieldKey] = pathText(folder / variant.name);
+      out.values.push_back(changed);
+      out.labels.push_back(variant.label);
+    }
+    knobs.push_back(out);
+  }
   Knob memory{"Memory", "for blocks and weights", {exact}, {format("%zu MiB", memory_bytes >> 20)}, false, {0}};
   for (const std::size_t mebibytes : {256, 64})
     if (const std::size_t bytes = mebibytes << 20; bytes < memory_bytes) {
@@ -208,10 +219,14 @@ std::vector<SceneKeys> worthTrying(const Study& study) {
       for (std::size_t k = 0; k < at.size(); ++k)
         squared += steps[k][at[k]].squared_error, ratio *= steps[k][at[k]].time_ratio;
       if (squared <= target * target && ratio < least) {
-        least = ratio;
-        best = study.exact;
+        SceneKeys changed = study.exact;
+        bool apart = true;  // no two knobs turn the same key: one field is not at once another coding and another hull
         for (std::size_t k = 0; k < at.size(); ++k)
-          for (const auto& [key, value] : steps[k][at[k]].changed) best[key] = value;
+          for (const auto& [key, value] : steps[k][at[k]].changed) {
+            apart &= changed.at(key) == study.exact.at(key);
+            changed[key] = value;
+          }
+        if (apart) least = ratio, best = changed;
       }
       std::size_t k = 0;
       while (k < at.size() && ++at[k] == steps[k].size()) at[k++] = 0;

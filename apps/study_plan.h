@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "apps/field_variants.h"
 #include "apps/study_file.h"
 #include "render/scene.h"
 
@@ -23,8 +24,10 @@ SceneKeys ownSetting(const Scene& scene, const SceneProbe& probe);
 SceneKeys exactSetting(const Scene& scene, const SceneProbe& probe, double seconds);
 /// About how long a frame of it takes.
 double exactSeconds(const Scene& scene, const SceneProbe& probe, const SceneKeys& exact);
-/// Each knob from exact to cheap. `memory_bytes`: what --memory gives.
-std::vector<Knob> knobsOf(const SceneKeys& exact, const SceneKeys& own, std::size_t memory_bytes);
+/// Each knob from exact to cheap. `memory_bytes`: what --memory gives. `fields`: the knobs of the field, whose variants
+/// lie in `folder`.
+std::vector<Knob> knobsOf(const SceneKeys& exact, const SceneKeys& own, std::size_t memory_bytes,
+                          const std::vector<FieldKnob>& fields, const std::filesystem::path& folder);
 /// The settings that promise the least time for errors from 10 % down to 0.03 %, foretold from each knob's own curve:
 /// errors add in squares, times multiply. Cheapest first.
 std::vector<SceneKeys> worthTrying(const Study& study);

@@ -134,6 +134,13 @@ void writeTextFile(const std::filesystem::path& file, std::string_view text) {
   writeBinaryFile(file, text.data(), text.size());
 }
 
+std::uint64_t bytesInFolder(const std::filesystem::path& folder) {
+  std::uint64_t bytes = 0;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(folder))
+    if (entry.is_regular_file()) bytes += entry.file_size();
+  return bytes;
+}
+
 std::uint64_t contentHash(const void* data, std::size_t bytes, std::uint64_t seed) {
   return XXH3_64bits_withSeed(data, bytes, seed);
 }

@@ -41,6 +41,8 @@ class PartialFile {
 
 void writeTextFile(const std::filesystem::path& file, std::string_view text);
 void writeBinaryFile(const std::filesystem::path& file, const void* data, std::size_t bytes);
+/// Of all files in the folder and below.
+std::uint64_t bytesInFolder(const std::filesystem::path& folder);
 /// 64-bit XXH3 of the bytes, as stored in manifests and headers.
 std::uint64_t contentHash(const void* data, std::size_t bytes, std::uint64_t seed = 0);
 /// As 16 hexadecimal digits.

@@ -14,6 +14,7 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <regex>
+#include <set>
 #include <thread>
 
 #include "base/files.h"
@@ -624,11 +625,26 @@ TEST(Study, KeepsItsPromisesAndGoesOnWhereItEnded) {
   scene["interpolation"] = "plain";
   const fs::path file = folder / "scene.json", study = folder / "study";
   writeJsonFile(file, scene);
-  const Words command{"study", file, "-o", study, "--budget", "60s", "--frames", "2"};
+  const Words command{"study", file, "-o", study, "--budget", "120s", "--frames", "2"};
   const Outcome first = run(command);
   ASSERT_EQ(first.code, 0) << first.err;
   const Json found = readJsonFile(study / "study.json").raw();
   ASSERT_TRUE(found["complete"].get<bool>()) << first.out;
+  // Fields of its own are made, and stay only where a setting of the front uses them.
+  double own_bytes = 0, least_bytes = HUGE_VAL;
+  for (const Json& setting : found["settings"]) {
+    const double bytes = setting["field_bytes"];
+    if (setting["set"] == found["exact"]) own_bytes = bytes;
+    least_bytes = std::min(least_bytes, bytes);
+  }
+  EXPECT_LT(least_bytes, own_bytes);
+  std::set<std::string> used;
+  for (const Json& keys : found["front"]) used.insert(fs::path(keys["/srf"].get<std::string>()).filename().string());
+  used.erase("field.srf");
+  std::set<std::string> kept;
+  if (fs::exists(study / "fields"))
+    for (const auto& entry : fs::directory_iterator(study / "fields")) kept.insert(entry.path().filename().string());
+  EXPECT_EQ(kept, used);
   EXPECT_TRUE(fs::exists(study / "study.csv"));
   const std::string page = slurp(study / "study.html");
   EXPECT_NE(page.find("<svg"), std::string::npos);
@@ -946,7 +962,8 @@ TEST(Study, MeasuresResumesAndKeepsItsPromiseOnFramesLeftOut) {
   test::TemporaryFolder folder;
   writeJsonFile(folder / "scene.json", studyScene(folder.path()));
   const fs::path out = folder / "out", stats = folder / "stats.json";
-  const Words words{"study", folder / "scene.json", "-o", out, "--budget", "20s", "--frames", "2", "--stats", stats};
+  const Words words{"study", folder / "scene.json", "-o", out, "--budget", "20s", "--frames", "2", "--stats",
+                    stats,   "--no-other-fields"};
   bool complete = false;
   for (int i = 0; i < 6 && !complete; ++i) {  // a busy machine may need more than one budget
     const Outcome study = run(words);
