@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <unordered_map>
 
 #include "base/numeric.h"
 #include "base/parallel.h"
+#include "model/points_around.h"
 
 namespace srf {
 namespace {
@@ -94,32 +94,15 @@ void litAroundFromNeighbours(const FitInput& input, CapturedVisibility& visibili
   const std::vector<Point<AcquisitionSpace>>& points = input.model.p0;
   const double reach = aroundReach(input.field, input.model);
   if (!(reach > 0)) return;
-  // Points by the cells of a grid, each as wide as the reach.
-  const auto cellOf = [&](const Point<AcquisitionSpace>& p) {
-    std::array<std::int64_t, 3> cell;
-    for (int c = 0; c < 3; ++c) cell[c] = static_cast<std::int64_t>(std::floor(p.raw()[c] / reach));
-    return cell;
-  };
-  const auto key = [](const std::array<std::int64_t, 3>& c) {
-    return static_cast<std::uint64_t>(c[0]) * 0x9e3779b97f4a7c15u ^
-           static_cast<std::uint64_t>(c[1]) * 0xc2b2ae3d27d4eb4fu ^
-           static_cast<std::uint64_t>(c[2]) * 0x165667b19e3779f9u;
-  };
-  std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> grid;
-  for (std::uint32_t i = 0; i < points.size(); ++i) grid[key(cellOf(points[i]))].push_back(i);
+  const PointsAround around(points, reach);
   visibility.lit_around = visibility.lit;
   const std::size_t words = visibility.lit.wordsPerPoint();
   parallelFor(points.size(), kChunk, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
-      std::uint64_t* around = &visibility.lit_around.words()[i * words];
-      const auto cell = cellOf(points[i]);
-      for (int d = 0; d < 27; ++d) {
-        const auto near = grid.find(key({cell[0] + d % 3 - 1, cell[1] + d / 3 % 3 - 1, cell[2] + d / 9 - 1}));
-        if (near == grid.end()) continue;
-        for (const std::uint32_t j : near->second)
-          if (distance(points[i], points[j]) < reach)
-            for (std::size_t w = 0; w < words; ++w) around[w] &= visibility.lit.row(j)[w];
-      }
+      std::uint64_t* lit = &visibility.lit_around.words()[i * words];
+      around(i, [&](std::uint32_t j) {
+        for (std::size_t w = 0; w < words; ++w) lit[w] &= visibility.lit.row(j)[w];
+      });
     }
   });
 }

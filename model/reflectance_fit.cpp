@@ -12,6 +12,7 @@
 #include "model/captured_visibility.h"
 #include "model/hull_correction.h"
 #include "model/point_samples.h"
+#include "model/points_around.h"
 #include "model/sample_holdout.h"
 
 namespace srf {
@@ -38,7 +39,8 @@ constexpr int kDoubtedLights = 2;  // more in shadow, so that one alone tells li
 // highlight or a lit surface that a pixel's blur carries into the shadow is under one to four.
 constexpr double kLostLittle = 0.1, kLostMuch = 0.2;
 constexpr double kFewLose = 5, kManyLose = 8;
-constexpr int kRounds = 3;  // of robust weights
+constexpr double kOffReach = 2;  // of aroundReach: where a hull is off, so is what lies around it
+constexpr int kRounds = 3;       // of robust weights
 constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
 
 struct Roughness {
@@ -331,13 +333,41 @@ void dropNarrow(VisibilityBits& bits, const std::vector<Triangle>& triangles) {
 
 /// Squares of a point's errors and samples, weighted.
 struct PointError {
-  double plain = 0, guided = 0, square = 0;
+  double plain = 0, guided = 0, square = 0;  ///< one light left out
+  double sum_plain = 0, sum_guided = 0;      ///< of the sum over the lights, one view left out
 };
 
-// The squared error with the residuals that the point takes.
+// The error with the residuals that the point takes: squared, or of a sum.
 double guidedError(const HoldoutError::Case& e, const FittedPoint& point) {
   return lerp(e.in_light.lit, e.in_light.indirect, double{point.indirect}) +
          lerp(e.in_shadow.lit, e.in_shadow.indirect, double{point.indirect_shadow});
+}
+
+// Never worse than plain: 1 where guidance helps by 10 %, or by as much as `open` says, 0 where it harms by 5 %.
+double gateOf(double guided, double plain, double open = 0.9) {
+  constexpr double kShut = 1.05;
+  if (!(plain > 0)) return guided > 0 ? 0.0 : 1.0;
+  return smoothstep(0, 1, (kShut - guided / plain) / (kShut - open));
+}
+
+// Where a hull lies off the object each view's photographs are of another point of it. A model fitted to all of them
+// may still foretell a light a little better than its neighbours do, and is then wrong to the same side under all: a
+// sky adds that up. So what guidance gains under one light it must not lose under all at once, from a view that is left
+// out; together with the points around, since a hull is off over more than a point, while chance is not.
+void closeOffTheObject(const std::vector<Point<AcquisitionSpace>>& points, double reach,
+                       std::span<const PointError> errors, std::vector<FittedPoint>& fitted) {
+  const PointsAround around(points, reach);
+  parallelFor(points.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      PointError sum;
+      around(i, [&](std::uint32_t j) {
+        sum.plain += errors[j].plain, sum.guided += errors[j].guided;
+        sum.sum_plain += errors[j].sum_plain, sum.sum_guided += errors[j].sum_guided;
+      });
+      const double guided = std::sqrt(sum.guided * sum.sum_guided), plain = std::sqrt(sum.plain * sum.sum_plain);
+      fitted[i].gate = std::min(fitted[i].gate, static_cast<float>(gateOf(guided, plain)));
+    }
+  });
 }
 
 // Whether the residual of all lights is clearly the better one, where both leave a squared error: 1 at `enough` less.
@@ -345,13 +375,14 @@ double muchLess(double indirect, double lit, double enough) {
   return lit > 0 ? smoothstep(0, enough, 1 - std::sqrt(indirect / lit)) : 0;
 }
 
-// How far the residual of all lights is needed in shadow for the sum over many lights to hold: the little that each of
-// many gives indirectly, which outlines under a few hide in the errors of lights one by one.
+// How far the residual of unlit lights is needed in shadow for the sum over many lights to hold: the little that each
+// of many gives indirectly, which outlines under a few hide in the errors of lights one by one.
 double neededForSum(const HoldoutError& error) {
   double value = 0, lit = 0, indirect = 0;
   for (const HoldoutError::Sum& sum : error.sums) {
     value += sum.weight * square(sum.value);
-    lit += sum.weight * square(sum.lit), indirect += sum.weight * square(sum.indirect);
+    lit += sum.weight * square(sum.light.in_shadow.lit);
+    indirect += sum.weight * square(sum.light.in_shadow.indirect);
   }
   if (!(lit > 0 && value > 0)) return 0;
   return smoothstep(kLostLittle, kLostMuch, std::sqrt(lit / value)) *
@@ -443,13 +474,9 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
         const double by_lights =
             all_lights(e.all.light.in_shadow) * smoothstep(0.2, 0.4, std::max(share(e.hidden), share(e.averted)));
         fitted.indirect_shadow = static_cast<float>(std::max(by_lights, neededForSum(e)));
-        // Never worse than plain: 1 where guidance helps by 10 %, 0 where it harms by 5 %; under a captured light,
-        // where both return the photographs of a matt surface, 1 where it does not harm.
+        // Under a captured light, where both return the photographs of a matt surface, open where it does not harm.
         const auto gate = [&](const HoldoutError::Case& of, double open) {
-          const double plain = std::sqrt(of.plain), guided = std::sqrt(guidedError(of, fitted));
-          constexpr double kShut = 1.05;
-          if (!(plain > 0)) return guided > 0 ? 0.0 : 1.0;
-          return smoothstep(0, 1, (kShut * plain - guided) / ((kShut - open) * plain));
+          return gateOf(std::sqrt(guidedError(of, fitted)), std::sqrt(of.plain), open);
         };
         fitted.gate =
             static_cast<float>(std::min({gate(e.all.light, 0.9), gate(e.all.both, 0.9), gate(e.all.view, 1)}));
@@ -461,15 +488,23 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
           if (is_hull && (harmed(cases.light, e.all.light) || harmed(cases.both, e.all.both) ||
                           harmed(cases.view, e.all.view) || harmed(cases.beside, e.all.beside)))
             fit.worse.set(i, light.value);
-        errors[i] = {e.all.light.plain, lerp(e.all.light.plain, guidedError(e.all.light, fitted), double{fitted.gate}),
-                     e.square};
+        errors[i] = {e.all.light.plain, guidedError(e.all.light, fitted), e.square};
+        for (const HoldoutError::Sum& sum : e.sums) {
+          errors[i].sum_plain += sum.weight * square(sum.both.plain);
+          errors[i].sum_guided += sum.weight * square(guidedError(sum.both, fitted));
+        }
       }
       stage.advance(end - begin);
     });
   }
   dropNarrow(fit.worse, model.triangles);
+  if (const double reach = kOffReach * aroundReach(field, model); is_hull && reach > 0)
+    closeOffTheObject(model.p0, reach, errors, fit.points);
   double plain = 0, guided = 0, square = 0;
-  for (const PointError& error : errors) plain += error.plain, guided += error.guided, square += error.square;
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    plain += errors[i].plain, square += errors[i].square;
+    guided += lerp(errors[i].plain, errors[i].guided, double{fit.points[i].gate});
+  }
   if (square > 0) fit.error_plain = std::sqrt(plain / square), fit.error_guided = std::sqrt(guided / square);
   fit.lit = std::move(visibility.lit);
   fit.lit_by_rays = std::move(visibility.lit_by_rays);

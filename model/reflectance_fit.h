@@ -17,9 +17,9 @@ namespace srf {
 struct FittedPoint {
   PointReflectance reflectance;
   float gate = 0;  ///< 0: plain interpolation, 1: guided, by the leave-one-light-out error at this point
-  /// 0: the residual is relit by lights that light the point (G1); 1: by all as they are (G2). By the same error, for a
-  /// light that lights the point and, apart, for one that does not: there G1 is dark, and G2 holds indirect light and
-  /// translucency.
+  /// For a light that lights the point, 0: the residual is relit by lights that light it too (G1); 1: by all as they
+  /// are (G2). For one that does not, 0: dark; 1: what photographs hold under lights that do not light it either, which
+  /// is indirect light and translucency. Each by its own error with lights left out.
   float indirect = 0, indirect_shadow = 0;
 };
 

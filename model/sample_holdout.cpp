@@ -33,6 +33,7 @@ void SampleHoldout::transpose(const PointSamples& samples, const std::array<std:
   for (std::vector<float>* rows : {&value_, &model_, &residual_, &weight_})
     rows->assign(static_cast<std::size_t>(width_) * count, 0.f);
   const auto& inverse = samples.lights()[lights].inverse;
+  const std::vector<float>& lit = samples.lights()[lights].lit;
   for (std::size_t v = 0; v < views_.size(); ++v) {
     const float weight = std::max(views_[v]->cosine, 0.f);
     for (int c = 0; c < 3; ++c)
@@ -42,7 +43,7 @@ void SampleHoldout::transpose(const PointSamples& samples, const std::array<std:
         const float usable = inverse[c][k] > 0 ? samples.usable()[s] : 0.f;
         value_[to] = samples.values()[c][s];
         model_[to] = model[c][s];
-        residual_[to] = usable * (value_[to] - model_[to]);
+        residual_[to] = usable * (value_[to] - lit[k] * model_[to]);
         weight_[to] = usable * weight;
       }
   }
@@ -126,20 +127,23 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
     for (int k = 0; k < lights.count; ++k)
       usable_[k] = (any_around ? lights.around[k] : lights.lit[k]) *
                    static_cast<float>(smoothstep(kLowest, kLowEnough, lights.cosine[k]));
-    for (std::vector<float>* row : {&value_sum_, &lit_sum_, &indirect_sum_}) row->assign(half_, 0.f);
+    value_sum_.assign(half_, 0.f);
+    for (std::vector<float>* row : {&plain_sum_, &lit_sum_, &indirect_sum_, &hidden_sum_, &dark_sum_})
+      row->assign(width_, 0.f);
     for (int i = 0; i < lights.count; ++i) {
       if (!known(i)) continue;
       nearest(list, lights, i, plain_);
       if (plain_.empty()) continue;  // a lone light: nothing could stand in for it
       // Whether the light reaches the point: by the ray, corrected by the lights about it as rendering does; what the
       // photographs under the light itself say is left out.
-      float usable = 0, visible = lights.by_ray[i];
+      float usable = 0, unlit = 0, visible = lights.by_ray[i];
       double disagree = 0, lit_there = 0;
       for (const Weighted& w : plain_) {
         const bool differs = lights.lit[w.source] != lights.by_ray[w.source];
         disagree += differs ? w.weight : 0;
         lit_there += differs ? w.weight * lights.lit[w.source] : 0;
         usable += static_cast<float>(w.weight) * usable_[w.source];
+        unlit += static_cast<float>(w.weight) * (1 - lights.lit[w.source]);
       }
       if (disagree > 0) visible = static_cast<float>((1 - disagree) * visible + lit_there);
       if (!(lights.cosine[i] > 0)) visible = 0;
@@ -147,7 +151,7 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
         return share > 0 ? static_cast<float>(smoothstep(0, kFade, share)) / share : 0.f;
       };
 
-      plain_row_.assign(width_, 0.f), lit_row_.assign(width_, 0.f), indirect_row_.assign(width_, 0.f);
+      for (std::vector<float>* row : {&plain_row_, &lit_row_, &indirect_row_, &dark_row_}) row->assign(width_, 0.f);
       const auto add = [&](std::vector<float>& row, const std::vector<float>& from, std::size_t light, float w) {
         if (w == 0) return;
         const float* values = &from[light * width_];
@@ -156,7 +160,8 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       for (const Weighted& w : plain_) {
         const auto weight = static_cast<float>(w.weight);
         add(plain_row_, value_, w.source, weight);
-        add(indirect_row_, lights.lit[w.source] > 0 ? residual_ : value_, w.source, weight);
+        add(indirect_row_, residual_, w.source, weight);
+        add(dark_row_, residual_, w.source, weight * (1 - lights.lit[w.source]));
         const float ratio = std::min(kMostRatio, lights.cosine[i] / std::max(lights.cosine[w.source], kCosine));
         add(lit_row_, residual_, w.source, weight * usable_[w.source] * ratio);
       }
@@ -176,9 +181,11 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       for (float& x : lit_row_) x *= relit;
       add(lit_row_, model_, i, visible);
       add(indirect_row_, model_, i, visible);
+      const float hidden = 1 - visible, from_dark = hidden * relight(unlit);
+      for (int x = 0; x < width_; ++x) dark_row_[x] = lit_row_[x] + from_dark * dark_row_[x];
 
       struct Sum {
-        float plain = 0, lit = 0, indirect = 0;
+        float plain = 0, lit = 0, indirect = 0, dark = 0;
       };
       const auto sum = [&](int begin) {
         Sum s;
@@ -187,22 +194,27 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
           s.plain += w * (plain_row_[begin + x] - v) * (plain_row_[begin + x] - v);
           s.lit += w * (lit_row_[begin + x] - v) * (lit_row_[begin + x] - v);
           s.indirect += w * (indirect_row_[begin + x] - v) * (indirect_row_[begin + x] - v);
+          s.dark += w * (dark_row_[begin + x] - v) * (dark_row_[begin + x] - v);
         }
         return s;
       };
       const Sum by_light = sum(0);
       float square = 0;
       for (int x = 0; x < half_; ++x) square += weight[x] * value[x] * value[x], value_sum_[x] += weight[x] * value[x];
-      if (const float hidden = 1 - visible; hidden > 0)
+      for (int begin = 0; begin < width_; begin += half_)
         for (int x = 0; x < half_; ++x) {
-          lit_sum_[x] += hidden * weight[x] * (lit_row_[x] - value[x]);
-          indirect_sum_[x] += hidden * weight[x] * (indirect_row_[x] - value[x]);
+          const int at = begin + x;
+          const float shown = visible * weight[at], off = hidden * weight[at];
+          plain_sum_[at] += weight[at] * (plain_row_[at] - value[x]);
+          lit_sum_[at] += shown * (lit_row_[at] - value[x]),
+              indirect_sum_[at] += shown * (indirect_row_[at] - value[x]);
+          hidden_sum_[at] += off * (lit_row_[at] - value[x]), dark_sum_[at] += off * (dark_row_[at] - value[x]);
         }
       error.square += square;
       const auto note = [&](HoldoutError::Case& to, const Sum& s) {
         to.plain += s.plain;
         to.in_light.lit += visible * s.lit, to.in_light.indirect += visible * s.indirect;
-        to.in_shadow.lit += (1 - visible) * s.lit, to.in_shadow.indirect += (1 - visible) * s.indirect;
+        to.in_shadow.lit += hidden * s.lit, to.in_shadow.indirect += hidden * s.dark;
       };
       error.by_light.push_back({list.ids[i], {}});
       HoldoutError::Cases& cases = error.by_light.back().second;
@@ -213,7 +225,7 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       if (!(visible > 0.5f) && (lights.cosine[i] < kSurelyAverted || lights.cosine[i] > 0)) {
         HoldoutError::Count& count = lights.cosine[i] > 0 ? error.hidden : error.averted;
         ++count.lights;
-        count.for_indirect += by_light.indirect < kMuchBetter * by_light.lit;
+        count.for_indirect += by_light.dark < kMuchBetter * by_light.lit;
       }
       if (sources_.empty()) continue;
       note(cases.both, sum(half_));
@@ -221,7 +233,7 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       float plain = 0, guided = 0;
       for (int x = 0; x < half_; ++x) {
         const float w = weight[half_ + x], from_others = value[half_ + x] - value[x];
-        const float shown = lights.lit[i] > 0 ? at_view[x] + residual[half_ + x] - value[x] : from_others;
+        const float shown = lights.lit[i] * at_view[x] + residual[half_ + x] - value[x];
         plain += w * from_others * from_others;
         guided += w * shown * shown;
       }
@@ -229,8 +241,15 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
     }
     for (int v = 0; v < static_cast<int>(views_.size()); ++v)
       if (const float w = views_[v]->cosine; w > 0)
-        for (int x = kChannels * v; x < kChannels * v + 3; ++x)
-          error.sums.push_back({w, value_sum_[x] / w, lit_sum_[x] / w, indirect_sum_[x] / w});
+        for (int x = kChannels * v; x < kChannels * v + 3; ++x) {
+          const auto sum = [&](int at) {
+            return HoldoutError::Case{plain_sum_[at] / w,
+                                      {lit_sum_[at] / w, indirect_sum_[at] / w},
+                                      {hidden_sum_[at] / w, dark_sum_[at] / w}};
+          };
+          error.sums.push_back({w, value_sum_[x] / w, sum(x), {}});
+          if (!sources_.empty()) error.sums.back().both = sum(half_ + x);
+        }
   }
   for (const auto& [id, cases] : error.by_light) error.all += cases;
   return error;

@@ -13,8 +13,9 @@ namespace srf {
 struct HoldoutError {
   /// As much of the light as lights the point, or does not.
   struct Part {
-    double lit = 0;       ///< squared error of the model with the residual of the lights that light the point
-    double indirect = 0;  ///< of the model with the residual of all lights
+    double lit = 0;  ///< squared error of the model with the residual of the lights that light the point
+    /// Of the model with the residual of all lights; in shadow, of those lights that do not light the point either.
+    double indirect = 0;
   };
   struct Case {
     double plain = 0;  ///< squared error of the weights of M12 and M13
@@ -51,9 +52,9 @@ struct HoldoutError {
   /// Of one channel of one view, over all lights left out one at a time: signed sums, since a sky's lights add up.
   /// Errors of one sign, each too small to tell, grow so, while those along a shadow's blurred outline are few.
   struct Sum {
-    float weight = 0;             ///< n.v
-    float value = 0;              ///< of the samples
-    float lit = 0, indirect = 0;  ///< errors, as of Part, under lights that do not light the point
+    double weight = 0;  ///< n.v
+    double value = 0;   ///< of the samples
+    Case light, both;   ///< errors, not squared; `both` is 0 where no other view foretells this one
   };
   std::vector<Sum> sums;
 };
@@ -82,8 +83,8 @@ class SampleHoldout {
   std::vector<Source> sources_;
   std::vector<Penalised> candidates_;
   std::vector<Weighted> plain_, weights_;
-  std::vector<float> usable_, plain_row_, lit_row_, indirect_row_;
-  std::vector<float> value_sum_, lit_sum_, indirect_sum_;  ///< HoldoutError::Sum, times n.v
+  std::vector<float> usable_, plain_row_, lit_row_, indirect_row_, dark_row_;
+  std::vector<float> value_sum_, plain_sum_, lit_sum_, indirect_sum_, hidden_sum_, dark_sum_;  ///< of Sum, times n.v
 };
 
 }  // namespace srf

@@ -382,18 +382,24 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, co
   const float nearness = nearest < kNotNear * kNotNear ? 1 - smoothstepf(kNear, kNotNear, std::sqrt(nearest)) : 0;
   // Below the horizon only what is interpolated as it is could count.
   if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0) && !(nearness > 0)) return 0;
-  const float indirect = hit.indirectUnder(cosine > 0 ? visible : 0);
-  const float as_is = off ? 0 : indirect + (1 - indirect) * nearness;
   const float shown = options_.shadows == Shadows::captured ? visible + nearness * (lit - visible) : visible;
   if (options_.model_alone) return gate * shown;
 
-  const float relit = usable > 0 && cosine > 0 ? (1 - as_is) * visible * smoothstepf(0, kFade, usable) / usable : 0;
+  // Of the residual: as it is, of lights that light the point, and of those that do not.
+  const float reaches = cosine > 0 ? visible : 0, far = off ? 1 : 1 - nearness;
+  const float indirect = off ? 0 : hit.indirect, indirect_shadow = off ? 0 : hit.indirect_shadow;
+  const auto relight = [](float share) { return share > 0 ? smoothstepf(0, kFade, share) / share : 0; };
+  const float as_is = 1 - far + far * reaches * indirect;
+  const float relit = far * (1 - indirect) * reaches * relight(usable);
+  const float unlit = far * indirect_shadow * (1 - reaches) * relight(1 - lit);
   for (const auto& [i, weight] : block.weights) {
     const auto w = static_cast<float>(weight);
     const float ratio =
         std::min(kMostRatio, cosine / std::max(dot3(hit.reflectance.normal, x[i], y[i], z[i]), kCosine));
     const float from_lit = w * gate * relit * block.usable[i] * ratio, from_all = w * gate * as_is;
-    const float photograph = from_lit + from_all + w * (1 - gate), model = from_lit + from_all * block.lit[i];
+    const float from_dark = w * gate * unlit * (1 - block.lit[i]);
+    const float photograph = from_lit + from_all + from_dark + w * (1 - gate),
+                model = from_lit + from_all * block.lit[i];
     block.singles.push_back(
         {i, {photograph * e[0], photograph * e[1], photograph * e[2]}, {model * e[0], model * e[1], model * e[2]}});
   }
@@ -454,10 +460,9 @@ ResidualShares GuidedLighting::spreadShared(GuidedBlock& block, std::size_t inde
     blendVectors(vectors, blend.share, 3 * pad, block.shared.data());
     shared = block.shared.data();
   }
-  return {hit.indirect,
-          hit.indirect_shadow,
+  return {off ? 0 : hit.indirect,
+          off ? 0 : hit.indirect_shadow,
           kMostRatio,
-          !off,
           block.energy.data(),
           block.gate.data(),
           block.lit.data(),

@@ -2,14 +2,15 @@
 // to what the model leaves over.
 //
 //   f(p, l, v) = V(l) M(p, l, v) + V(l) sum_j w_j sum_i c_i [ S_ij - M(p, l_i, v_j) ]        lit residual
-//   f(p, l, v) = V(l) M(p, l, v) +      sum_j w_j sum_i d_i [ S_ij - V_i M(p, l_i, v_j) ]    indirect residual
+//   f(p, l, v) = V(l) M(p, l, v) + V(l) sum_j w_j sum_i d_i [ S_ij - V_i M(p, l_i, v_j) ]    indirect residual
 //
-// S_ij: what view j holds of p under light i. w_j: the view weights of M12. d_i: the light weights of M13. c_i: the
-// same restricted to captured lights that light p, times a ratio of cosines. V: whether light reaches p. Both are
-// linear in S: the light weights of a hit are merged over all lights of the frame as ever, the same blocks are read,
-// and what the model adds and takes away is a colour known before any block is. Near a captured light the second form
-// takes over, so that the photograph returns there with its own shadows. Everything is evaluated in acquisition space,
-// after L.
+// and, of a light that does not reach p, nothing or (1 - V(l)) sum_j w_j sum_i e_i S_ij. S_ij: what view j holds of p
+// under light i. w_j: the view weights of M12. d_i: the light weights of M13. c_i: the same restricted to captured
+// lights that light p, times a ratio of cosines; e_i: to those that do not. V: whether light reaches p. All are linear
+// in S: the light weights of a hit are merged over all lights of the frame as ever, the same blocks are read, and what
+// the model adds and takes away is a colour known before any block is. Near a captured light the second form takes over
+// whether the light reaches p or not, so that the photograph returns there with its own shadows. Everything is
+// evaluated in acquisition space, after L.
 #pragma once
 
 #include <array>
@@ -44,8 +45,6 @@ struct GuidedBlock {
     ModelOfPoint model;  ///< seen along v, object space
     ModelView model_view;
     float gate = 0, indirect = 0, indirect_shadow = 0;
-    /// FittedPoint::indirect for a light of which so much reaches the point.
-    float indirectUnder(float visible) const { return indirect_shadow + visible * (indirect - indirect_shadow); }
   };
   std::vector<Hit> hits;
   std::vector<std::int8_t> sight;  ///< LightSight of each hit and light of the frame (distant, then near)

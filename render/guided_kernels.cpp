@@ -327,12 +327,12 @@ std::size_t used(const CapturedLanes& lights, std::size_t count, const ResidualS
                  std::size_t& photographs) {
   const F f;
   const V zero = hn::Zero(f), one = hn::Set(f, 1.f);
-  V scale = zero;
-  float *const amount_lit = out[0], *const as_is = out[1];  // on their way
+  V scale = zero, dark_scale = zero;
+  float *const amount_lit = out[0], *const reach = out[1];  // on their way
   if (distant) {
     const ResidualShares& s = *distant;
-    V standing[kParts], reaching[kParts];
-    for (std::size_t p = 0; p < kParts; ++p) standing[p] = reaching[p] = zero;
+    V standing[kParts], reaching[kParts], dark[kParts], hidden[kParts];
+    for (std::size_t p = 0; p < kParts; ++p) standing[p] = reaching[p] = dark[p] = hidden[p] = zero;
     for (std::size_t i = 0; i < count; i += kVectorLanes)
       for (std::size_t p = 0; p < kParts; ++p) {
         const std::size_t at = i + p * kLanes;
@@ -342,17 +342,20 @@ std::size_t used(const CapturedLanes& lights, std::size_t count, const ResidualS
         const auto some = hn::Gt(all, zero);
         const V amount = hn::Mul(hn::LoadU(f, s.usable + at), hn::IfThenElse(some, share, one));
         hn::StoreU(amount, f, amount_lit + at);
-        hn::StoreU(s.as_is ? hn::MulAdd(hn::IfThenElse(some, share, hn::LoadU(f, s.lit + at)),
-                                        hn::Set(f, s.indirect - s.indirect_shadow), hn::Set(f, s.indirect_shadow))
-                           : zero,
-                   f, as_is + at);
+        const V lit = hn::LoadU(f, s.lit + at), reaches = hn::IfThenElse(some, share, lit);
+        hn::StoreU(reaches, f, reach + at);
         const V energy = hn::Add(hn::Add(hn::LoadU(f, s.irradiance[0] + at), hn::LoadU(f, s.irradiance[1] + at)),
                                  hn::LoadU(f, s.irradiance[2] + at));
         standing[p] = hn::MulAdd(amount, energy, standing[p]);
         reaching[p] = hn::Add(reaching[p], shown);
+        const V hides = hn::Mul(hn::Mul(hn::LoadU(f, lights.known + at), hn::Sub(one, reaches)), energy);
+        hidden[p] = hn::Add(hidden[p], hides);
+        dark[p] = hn::MulAdd(hn::Sub(one, lit), hides, dark[p]);
       }
     const float stands = fold(standing), reaches = fold(reaching);
-    scale = hn::Set(f, stands > 0 ? std::min(s.most_ratio, reaches / stands) : 0.f);
+    scale = hn::Set(f, stands > 0 ? (1 - s.indirect) * std::min(s.most_ratio, reaches / stands) : 0.f);
+    const float hides = fold(hidden), unlit = fold(dark);
+    dark_scale = hn::Set(f, unlit > 0 ? s.indirect_shadow * std::min(s.most_ratio, hides / unlit) : 0.f);
   }
   std::size_t found = 0;
   photographs = 0;
@@ -363,11 +366,12 @@ std::size_t used(const CapturedLanes& lights, std::size_t count, const ResidualS
         given[c] = hn::LoadU(f, single->photograph[c] + i), taken[c] = hn::LoadU(f, single->model[c] + i);
     if (distant) {
       const V known = hn::LoadU(f, lights.known + i), gate = hn::LoadU(f, distant->gate + i);
-      const V all = hn::LoadU(f, as_is + i);
-      const V from_lit = hn::Mul(gate, hn::Mul(hn::Mul(hn::Sub(one, all), scale), hn::LoadU(f, amount_lit + i)));
-      const V from_all = hn::Mul(gate, all);
-      const V give = hn::Mul(known, hn::Add(hn::Add(from_lit, from_all), hn::Sub(one, gate)));
-      const V take = hn::Mul(known, hn::MulAdd(from_all, hn::LoadU(f, distant->lit + i), from_lit));
+      const V reaches = hn::LoadU(f, reach + i), lit = hn::LoadU(f, distant->lit + i);
+      const V from_lit = hn::Mul(gate, hn::Mul(scale, hn::LoadU(f, amount_lit + i)));
+      const V from_all = hn::Mul(gate, hn::Mul(hn::Set(f, distant->indirect), reaches));
+      const V from_dark = hn::Mul(hn::Mul(gate, dark_scale), hn::Mul(hn::Sub(one, reaches), hn::Sub(one, lit)));
+      const V give = hn::Mul(known, hn::Add(hn::Add(from_lit, from_all), hn::Add(from_dark, hn::Sub(one, gate))));
+      const V take = hn::Mul(known, hn::MulAdd(from_all, lit, from_lit));
       for (int c = 0; c < 3; ++c) {
         const V irradiance = hn::LoadU(f, distant->irradiance[c] + i);
         given[c] = hn::MulAdd(give, irradiance, given[c]);

@@ -103,10 +103,9 @@ void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, 
                     float* usable, float* facing);
 
 /// How the residual of a hit is taken from captured lights that stand for all distant ones together. The lit lights are
-/// scaled to sum to what is shown, by at most `most_ratio`.
+/// scaled to sum to what is shown, the others to what is hidden, by at most `most_ratio`.
 struct ResidualShares {
   float indirect, indirect_shadow, most_ratio;
-  bool as_is;                              ///< whether any of it is taken as it is
   const float* energy;                     ///< about each captured light: what is shown, and all (distantSums)
   const float *gate, *lit, *usable;        ///< of each captured light
   std::array<const float*, 3> irradiance;  ///< for which each captured light stands

@@ -72,5 +72,29 @@ TEST(ReflectanceFit, NothingReflectsFarMoreThanArrives) {
   EXPECT_LT(brighter, 40);
 }
 
+// A hull fills a bowl: through its lid each view sees another point of the bowl, which faces it. Of one light the model
+// tells a little more than the lights about it do; of all together it is wrong, where plain interpolation is right.
+TEST(ReflectanceFit, NothingGuidesWhereAHullIsNotTheObject) {
+  const auto gates = [](const test::ReflectanceFormula& formula) {
+    const test::TemporaryFolder folder;
+    test::FormulaFieldOptions options;
+    options.lights = 32, options.size = 32, options.subdivision = 3;
+    test::FormulaField field = test::makeSphereField(folder / "f.srf", options, formula);
+    field.model.shape = "hull";
+    const auto fit = fitReflectance(field.folder, field.manifest, field.model, {}, Reporter::silent());
+    double sum = 0;
+    for (const FittedPoint& point : fit->points) sum += double{point.gate};
+    return sum / static_cast<double>(fit->points.size());
+  };
+  const auto bowl = [](const Vec3& p, const Vec3& l, const Vec3& v) {
+    const Vec3 to = v + 0.3 * p, n = to / length(to);
+    // Under all lights at once the bowl is the same everywhere.
+    const double direct = dot(p, l) > 0 ? std::max(0.0, dot(n, l)) * 2 / (1 + dot(n, p)) : 0;
+    return (0.5 * direct + 0.05) * Vec3{1, 1, 1};
+  };
+  EXPECT_LT(gates(bowl), 0.1);  // 0.7 by lights and views left out one at a time
+  EXPECT_GT(gates(test::glossy), 0.99);
+}
+
 }  // namespace
 }  // namespace srf

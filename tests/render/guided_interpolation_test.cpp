@@ -151,6 +151,23 @@ TEST_F(GuidedInterpolationTest, SlantedViewsCountLittleForWhatTheModelLacks) {
   EXPECT_GT(psnr(renderWith(field, &fit, camera, lights), camera, lights, glossy), 15);
 }
 
+// What the model lacks under lights that reach a point is no part of what lies in its shadow, where photographs under
+// lights that do not reach it either tell all: the same from all sides here.
+TEST_F(GuidedInterpolationTest, InShadowTheLightsThatDoNotReachThePointCount) {
+  const test::TemporaryFolder folder;
+  const auto truth = [](const Vec3& n, const Vec3& l, const Vec3& v) {
+    return dot(n, l) > 0 ? glossy(n, l, v) + dot(n, l) * Vec3{1, 1, 1} : Vec3{0.1, 0.1, 0.1};
+  };
+  const test::FormulaField field = test::makeSphereField(folder / "indirect.srf", {}, truth);
+  ReflectanceFit fit = fitOf(field, 1);
+  for (FittedPoint& point : fit.points) point.indirect_shadow = 1;
+  const auto camera = cameraFrom({3, -4, 1});
+  FrameLights lights;
+  lights.distant = {sun({-2.5, 4, -1})};
+  // By the differences under all lights, 49 dB.
+  EXPECT_GT(psnr(renderWith(field, &fit, camera, lights), camera, lights, truth), 55);
+}
+
 TEST_F(GuidedInterpolationTest, TheModelAloneNeedsNeitherPhotographsNorAnOpenGate) {
   const auto camera = cameraFrom({3, -4, 1});
   FrameLights lights;

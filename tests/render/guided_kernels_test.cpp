@@ -288,10 +288,10 @@ TEST(GuidedKernels, TheResidualIsTakenAsStatedAndAddsToSingleLights) {
         energy[4 * i + 2 * half + 1] = uniform(random) + 0.1f;
         energy[4 * i + 2 * half] = uniform(random) * energy[4 * i + 2 * half + 1];
       }
-    const bool with_single = trial % 3 > 0, as_is = trial % 5 > 0;
-    const ResidualShares shares{trial % 7 ? 0.7f : 0.f, 0.2f,        2,          as_is,
-                                energy.data(),          gate.data(), lit.data(), usable.data(),
-                                constant(irradiance)};
+    const bool with_single = trial % 3 > 0;
+    const ResidualShares shares{
+        trial % 7 ? 0.7f : 0.f, trial % 5 ? 0.2f : 0.f, 2, energy.data(), gate.data(), lit.data(),
+        usable.data(),          constant(irradiance)};
     const ResidualAmounts single{constant(photograph), constant(model)};
     const CapturedLanes captured{lights.lanes(), known.data(), constant(irradiance), constant(inverse)};
     std::size_t photographs = 0;
@@ -300,7 +300,7 @@ TEST(GuidedKernels, TheResidualIsTakenAsStatedAndAddsToSingleLights) {
                                          {{direction[0].data(), direction[1].data(), direction[2].data()},
                                           {used[0].data(), used[1].data(), used[2].data()}},
                                          photographs);
-    double standing = 0, reaching = 0;
+    double standing = 0, reaching = 0, hidden = 0, dark = 0;
     const auto reach = [&](std::size_t i) {
       const double all = double{energy[4 * i + 1]} + energy[4 * i + 3],
                    shown = double{energy[4 * i]} + energy[4 * i + 2];
@@ -308,19 +308,24 @@ TEST(GuidedKernels, TheResidualIsTakenAsStatedAndAddsToSingleLights) {
     };
     for (std::size_t i = 0; i < lanes; ++i) {
       const auto [any, share] = reach(i);
-      standing += usable[i] * (any ? share : 1) * (double{irradiance[0][i]} + irradiance[1][i] + irradiance[2][i]);
+      const double stands = double{irradiance[0][i]} + irradiance[1][i] + irradiance[2][i];
+      standing += usable[i] * (any ? share : 1) * stands;
       reaching += double{energy[4 * i]} + energy[4 * i + 2];
+      const double hides = known[i] * (1 - (any ? share : lit[i])) * stands;
+      hidden += hides, dark += (1 - lit[i]) * hides;
     }
     const double scale = standing > 0 ? std::min(2.0, reaching / standing) : 0;
+    const double dark_scale = dark > 0 ? std::min(2.0, hidden / dark) : 0;
     std::size_t at = 0;
     for (std::size_t i = 0; i < lanes; ++i) {
       const auto [any, share] = reach(i);
-      const double all = as_is ? 0.2 + (shares.indirect - double{0.2f}) * (any ? share : lit[i]) : 0;
-      const double from_lit = gate[i] * (1 - all) * scale * usable[i] * (any ? share : 1), from_all = gate[i] * all;
+      const double reaches = any ? share : lit[i], from_all = gate[i] * shares.indirect * reaches;
+      const double from_lit = gate[i] * (1.0 - shares.indirect) * scale * usable[i] * (any ? share : 1);
+      const double from_dark = gate[i] * shares.indirect_shadow * dark_scale * (1 - reaches) * (1 - lit[i]);
       bool takes = false;
       std::array<double, 3> taken;
       for (int c = 0; c < 3; ++c) {
-        double given = known[i] * (from_lit + from_all + 1 - gate[i]) * irradiance[c][i];
+        double given = known[i] * (from_lit + from_all + from_dark + 1 - gate[i]) * irradiance[c][i];
         taken[c] = known[i] * (from_lit + from_all * lit[i]) * irradiance[c][i];
         if (with_single) given += photograph[c][i], taken[c] += model[c][i];
         ASSERT_NEAR(own[c * lanes + i], given * inverse[c][i], 1e-5) << "trial " << trial;
