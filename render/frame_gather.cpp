@@ -119,7 +119,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     lap(kGround);
   }
 
-  std::vector<std::size_t> met;
+  thread_local std::vector<std::size_t> met;  // likewise
+  met.clear();
   if (sparse && !before_blend) {
     fewer.places.clear();
     for (const SurfaceHit& hit : hits) fewer.places.push_back({hit.count > 0, hit.distance, hit.p0});
@@ -167,8 +168,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   }
 
   std::vector<std::pair<std::uint32_t, std::uint32_t>> handles;  // (list, light weights) of the hit
-  std::vector<FrameLighting::Wanted> wanted;                     // of met, by handle, weighed below
-  wanted.reserve(met.size());
+  thread_local std::vector<FrameLighting::Wanted> wanted;        // of met, by handle, weighed below
+  wanted.clear();
   out.pixel.reserve(met.size());
   out.shading.operations.reserve(chosen.views.size() + chosen.views.size() / 4);
   Clock::duration supporting{0};
