@@ -24,15 +24,16 @@ class Coverage {
   int height() const { return height_; }
   /// 0..255. x, y must lie inside.
   std::uint8_t at(int x, int y) const {
-    const std::uint32_t tile = tiles_[static_cast<std::size_t>(y / kSide) * tiles_x_ + x / kSide];
+    const unsigned column = static_cast<unsigned>(x), row = static_cast<unsigned>(y);
+    const std::uint32_t tile = tiles_[std::size_t{row / kSide} * static_cast<unsigned>(tiles_x_) + column / kSide];
     if (tile < kMixed) return static_cast<std::uint8_t>(tile);
     const Mixed& mixed = mixed_[tile - kMixed];
-    const int bit = y % kSide * kSide + x % kSide, word = bit / 64;
+    const unsigned bit = row % kSide * kSide + column % kSide, word = bit / 64;
     const std::uint64_t mask = std::uint64_t{1} << bit % 64;
     if (mixed.full[word] & mask) return 255;
     if (!(mixed.partial[word] & mask)) return 0;
     std::size_t at = mixed.first + std::popcount(mixed.partial[word] & (mask - 1));
-    for (int w = 0; w < word; ++w) at += std::popcount(mixed.partial[w]);
+    for (unsigned w = 0; w < word; ++w) at += std::popcount(mixed.partial[w]);
     return partial_[at];
   }
   /// Of the 16 x 16 texels of a tile, row by row: bit x of a row where it and its neighbours to the right, below and

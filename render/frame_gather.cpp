@@ -15,9 +15,11 @@ void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView&
   const int in_x = fetch.x & (kTile - 1), in_y = fetch.y & (kTile - 1);
   if (fetch.x >= 0 && fetch.y >= 0 && in_x < kTile - 1 && in_y < kTile - 1) {  // all in one tile
     if (!(std::max({fetch.tap[0], fetch.tap[1], fetch.tap[2], fetch.tap[3]}) > 0)) return;
+    const unsigned tile_x = static_cast<unsigned>(fetch.x) / kTile, tile_y = static_cast<unsigned>(fetch.y) / kTile;
     out.push_back({target,
                    lights,
-                   geometry.tileNumber({fetch.level, fetch.x / kTile, fetch.y / kTile}),
+                   fetch.level == 0 ? tile_y * static_cast<unsigned>(geometry.tiles_x) + tile_x
+                                    : geometry.tileNumber({fetch.level, static_cast<int>(tile_x), static_cast<int>(tile_y)}),
                    static_cast<std::uint16_t>(chosen.view),
                    static_cast<std::uint8_t>(in_x),
                    static_cast<std::uint8_t>(in_y),

@@ -89,32 +89,40 @@ struct LensLanes {
   hn::Mask<D> orthographic, bends, by_all;
   bool any_orthographic = false;
 
-  explicit LensLanes(D d) {
-    const auto zero = hn::Zero(d);
-    for (int row = 0; row < 3; ++row) {
-      center[row] = forward[row] = zero;
-      for (int column = 0; column < 3; ++column) rotation[row][column] = zero;
-    }
-    fl_x = skew = cx = fl_y = cy = width = height = crop_x = crop_y = across = down = tiles_x = first_tile = zero;
-    orthographic = bends = by_all = hn::Lt(zero, zero);
+  /// All lanes of one view.
+  HWY_INLINE LensLanes(D d, const PlacedView& view) {
+    const auto never = hn::Lt(hn::Zero(d), hn::Zero(d));
+    orthographic = bends = by_all = never;
+    put(view, hn::Not(never), [d](double value, V& to) { to = hn::Set(d, value); });
   }
   HWY_INLINE void take(D d, const PlacedView& view, hn::Mask<D> where) {
-    const auto put = [&](double value, V& to) { to = hn::IfThenElse(where, hn::Set(d, value), to); };
+    orthographic = hn::AndNot(where, orthographic), bends = hn::AndNot(where, bends);
+    put(view, where, [d, where](double value, V& to) { to = hn::IfThenElse(where, hn::Set(d, value), to); });
+  }
+
+ private:
+  template <class Put>
+  HWY_INLINE void put(const PlacedView& view, hn::Mask<D> where, const Put& to) {
     for (int row = 0; row < 3; ++row) {
-      put(view.center[row], center[row]);
-      for (int column = 0; column < 3; ++column) put(view.rotation.row[row][column], rotation[row][column]);
+      to(view.center[row], center[row]);
+      for (int column = 0; column < 3; ++column) to(view.rotation.row[row][column], rotation[row][column]);
     }
-    put(view.fl_x, fl_x), put(view.skew, skew), put(view.cx, cx), put(view.fl_y, fl_y), put(view.cy, cy);
-    put(view.width, width), put(view.height, height), put(view.crop_x, crop_x), put(view.crop_y, crop_y);
-    put(view.across, across), put(view.down, down), put(view.tiles_x, tiles_x), put(view.first_tile, first_tile);
-    if (view.orthographic) {
-      for (int row = 0; row < 3; ++row) put(view.forward[row], forward[row]);
-      orthographic = hn::Or(orthographic, where);
-      any_orthographic = true;
-    }
+    to(view.fl_x, fl_x), to(view.skew, skew), to(view.cx, cx), to(view.fl_y, fl_y), to(view.cy, cy);
+    to(view.width, width), to(view.height, height), to(view.crop_x, crop_x), to(view.crop_y, crop_y);
+    to(view.across, across), to(view.down, down), to(view.tiles_x, tiles_x), to(view.first_tile, first_tile);
+    for (int row = 0; row < 3 && view.orthographic; ++row) to(view.forward[row], forward[row]);
+    if (view.orthographic) orthographic = hn::Or(orthographic, where), any_orthographic = true;
     if (view.bends) bends = hn::Or(bends, where);
   }
 };
+
+/// hn::Asin of what is not negative, without the part for beyond 1/2 where there is none: the same bits.
+template <class D, class V>
+HWY_INLINE V arcsine(D d, V x) {
+  if (!hn::AllTrue(d, hn::Lt(x, hn::Set(d, 0.5)))) return hn::Asin(d, x);
+  const V squared = hn::Mul(x, x);
+  return hn::MulAdd(hn::impl::AsinImpl<double>().AsinPoly(d, squared, x), hn::Mul(squared, x), x);
+}
 
 /// Lanes where bit `bit` of a vector of words is set.
 template <class D, class U>
@@ -138,16 +146,23 @@ void place(const PlacedView* views, const WholeTexels& texels, const std::int32_
   for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
     const auto of = hn::PromoteTo(wide, hn::LoadU(n, view + i));
     const auto some = hn::And(hn::FirstN(wide, count - i), hn::Gt(of, hn::Set(wide, -1)));
-    LensLanes lens(d);
-    for (auto rest = some; !hn::AllFalse(wide, rest);) {
-      const std::int32_t next = view[i + hn::FindKnownFirstTrue(wide, rest)];
+    if (hn::AllFalse(wide, some)) {
+      hn::StoreU(cap, d, out.penalty + i);
+      hn::StoreU(hn::Zero(n), n, out.state + i);
+      continue;
+    }
+    const auto views_of = [&](auto lanes) { return view[i + hn::FindKnownFirstTrue(wide, lanes)]; };
+    std::int32_t next = views_of(some);
+    LensLanes lens(d, views[next]);
+    for (auto rest = some;;) {
       const auto same = hn::And(rest, hn::Eq(of, hn::Set(wide, next)));
-      const auto where = hn::RebindMask(d, same);
-      lens.take(d, views[next], where);
       const auto word = hn::LoadU(u, hits.by_all + next / 32 * hits.stride + i);
       const auto all = bitSet(d, word, hn::Set(u, static_cast<std::uint32_t>(next % 32)));
-      lens.by_all = hn::Or(lens.by_all, hn::And(where, all));
+      lens.by_all = hn::Or(lens.by_all, hn::And(hn::RebindMask(d, same), all));
       rest = hn::AndNot(same, rest);
+      if (hn::AllFalse(wide, rest)) break;
+      next = views_of(rest);
+      lens.take(d, views[next], hn::RebindMask(d, hn::Eq(of, hn::Set(wide, next))));
     }
 
     // From p to the camera.
@@ -169,14 +184,18 @@ void place(const PlacedView* views, const WholeTexels& texels, const std::int32_
     const auto cx = hn::Sub(tx, hn::LoadU(d, hits.vx + i)), cy = hn::Sub(ty, hn::LoadU(d, hits.vy + i)),
                cz = hn::Sub(tz, hn::LoadU(d, hits.vz + i));
     const auto chord = hn::Sqrt(dot(cx, cy, cz, cx, cy, cz));
-    const auto half_angle = hn::Asin(d, hn::Min(one, hn::Mul(half, chord)));
+    const auto half_angle = arcsine(d, hn::Min(one, hn::Mul(half, chord)));
     const auto angle = hn::Add(half_angle, half_angle);
     hn::StoreU(angle, d, out.angle + i);
 
     const auto eye = hn::LoadU(d, hits.eye_distance + i);
-    const auto further = hn::Div(hn::Mul(hn::Set(d, kResolutionPenalty), hn::Sub(length, eye)), eye);
     const auto counts = hn::AndNot(lens.orthographic, hn::And(hn::Gt(length, eye), hn::Gt(eye, zero)));
-    const auto seen_whole = hn::Max(hn::Add(angle, hn::IfThenElseZero(counts, further)), hn::Set(d, kLeastPenalty));
+    auto seen_whole = angle;
+    if (!hn::AllFalse(d, counts)) {
+      const auto further = hn::Div(hn::Mul(hn::Set(d, kResolutionPenalty), hn::Sub(length, eye)), eye);
+      seen_whole = hn::Add(angle, hn::IfThenElseZero(counts, further));
+    }
+    seen_whole = hn::Max(seen_whole, hn::Set(d, kLeastPenalty));
 
     const auto facing =
         dot(hn::LoadU(d, hits.nx + i), hn::LoadU(d, hits.ny + i), hn::LoadU(d, hits.nz + i), tx, ty, tz);

@@ -250,16 +250,14 @@ void ViewSelection::rankAll(const ViewQuery& query, std::size_t h, Scratch& s) c
 }
 
 void ViewSelection::choose(std::size_t pair, double weight, const Scratch& s, Chosen& chosen) const {
-  ChosenView& to = chosen.views.emplace_back();
-  to.view = static_cast<std::uint32_t>(s.view[pair]), to.weight = weight;
-  to.angle = s.view_lanes[0][pair], to.penalty = s.view_lanes[1][pair], to.foreshortening = s.view_lanes[2][pair];
-  if (s.fetch[pair] != kWhole) {
-    to.fetch = s.fetches[s.fetch[pair]];
-    return;
-  }
-  to.fetch.x = s.texels[1][pair], to.fetch.y = s.texels[2][pair];
-  std::copy_n(&s.tap[4 * pair], 4, to.fetch.tap);
-  to.fetch.covered = 1;
+  const float* const tap = &s.tap[4 * pair];
+  chosen.views.push_back({static_cast<std::uint32_t>(s.view[pair]),
+                          weight,
+                          s.view_lanes[0][pair],
+                          s.view_lanes[1][pair],
+                          s.view_lanes[2][pair],
+                          {s.texels[1][pair], s.texels[2][pair], {tap[0], tap[1], tap[2], tap[3]}, 1}});
+  if (s.fetch[pair] != kWhole) chosen.views.back().fetch = s.fetches[s.fetch[pair]];
 }
 
 void ViewSelection::selectSome(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s,
