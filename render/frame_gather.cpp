@@ -18,8 +18,9 @@ void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView&
     const unsigned tile_x = static_cast<unsigned>(fetch.x) / kTile, tile_y = static_cast<unsigned>(fetch.y) / kTile;
     out.push_back({target,
                    lights,
-                   fetch.level == 0 ? tile_y * static_cast<unsigned>(geometry.tiles_x) + tile_x
-                                    : geometry.tileNumber({fetch.level, static_cast<int>(tile_x), static_cast<int>(tile_y)}),
+                   fetch.level == 0
+                       ? tile_y * static_cast<unsigned>(geometry.tiles_x) + tile_x
+                       : geometry.tileNumber({fetch.level, static_cast<int>(tile_x), static_cast<int>(tile_y)}),
                    static_cast<std::uint16_t>(chosen.view),
                    static_cast<std::uint8_t>(in_x),
                    static_cast<std::uint8_t>(in_y),
@@ -192,18 +193,20 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
       addOperations(target, c, handle->second, out.shading.operations);
     }
     const SurfaceHit& hit = hits[met[m]];
-    const int x = static_cast<int>(pixels[met[m]] % width), y = static_cast<int>(pixels[met[m]] / width);
-    std::optional<HitSupport> hit_support;
-    if (support && first_of_pixel && (layers || (x % 2 == 0 && y % 2 == 0))) {
-      const auto asked = Clock::now();
-      hit_support = support->at(hit, look_ups[m], chosen.of(m), chosen.result[m], plan.lighting);
-      supporting += Clock::now() - asked;
-      if (x % 2 == 0 && y % 2 == 0) out.support.add(*hit_support);
+    if (first_of_pixel && (support || layers)) {
+      const int x = static_cast<int>(pixels[met[m]] % width), y = static_cast<int>(pixels[met[m]] / width);
+      std::optional<HitSupport> hit_support;
+      if (support && (layers || (x % 2 == 0 && y % 2 == 0))) {
+        const auto asked = Clock::now();
+        hit_support = support->at(hit, look_ups[m], chosen.of(m), chosen.result[m], plan.lighting);
+        supporting += Clock::now() - asked;
+        if (x % 2 == 0 && y % 2 == 0) out.support.add(*hit_support);
+      }
+      if (layers)
+        layers->set(x, y,
+                    {hit, look_ups[m], queries[m].view, chosen.of(m), hit_support ? &*hit_support : nullptr,
+                     deformed.model().kind == ModelKind::surfels ? hit.count : 1});
     }
-    if (first_of_pixel && layers)
-      layers->set(x, y,
-                  {hit, look_ups[m], queries[m].view, chosen.of(m), hit_support ? &*hit_support : nullptr,
-                   deformed.model().kind == ModelKind::surfels ? hit.count : 1});
     if (explained) {
       const auto views = chosen.of(m);
       explained->push_back({rays[met[m]],
