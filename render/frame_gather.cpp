@@ -9,46 +9,40 @@ namespace srf {
 
 void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
                                          std::vector<ShadingOperation>& out) const {
-  const StoreGeometry& geometry = selection->views()[chosen.view].geometry;
   const Fetch& fetch = chosen.fetch;
+  if (!(fetch.covered > 0)) return;
+  const StoreGeometry& geometry = selection->views()[chosen.view].geometry;
   const float weight = static_cast<float>(chosen.weight);
+  const auto view = static_cast<std::uint16_t>(chosen.view);
   const int in_x = fetch.x & (kTile - 1), in_y = fetch.y & (kTile - 1);
-  if (fetch.x >= 0 && fetch.y >= 0 && in_x < kTile - 1 && in_y < kTile - 1) {  // all in one tile
-    if (!(std::max({fetch.tap[0], fetch.tap[1], fetch.tap[2], fetch.tap[3]}) > 0)) return;
-    const unsigned tile_x = static_cast<unsigned>(fetch.x) / kTile, tile_y = static_cast<unsigned>(fetch.y) / kTile;
+  const int tile_x = (fetch.x - in_x) / kTile, tile_y = (fetch.y - in_y) / kTile;
+  const auto tile = [&](int x, int y) { return geometry.tileNumber({fetch.level, tile_x + x, tile_y + y}); };
+  const auto corner = [](int at) { return static_cast<std::uint8_t>(at); };
+  const bool splits_x = in_x == kTile - 1, splits_y = in_y == kTile - 1;
+  if (!splits_x && !splits_y) {  // all in one tile
     out.push_back({target,
                    lights,
-                   fetch.level == 0
-                       ? tile_y * static_cast<unsigned>(geometry.tiles_x) + tile_x
-                       : geometry.tileNumber({fetch.level, static_cast<int>(tile_x), static_cast<int>(tile_y)}),
-                   static_cast<std::uint16_t>(chosen.view),
-                   static_cast<std::uint8_t>(in_x),
-                   static_cast<std::uint8_t>(in_y),
+                   tile(0, 0),
+                   view,
+                   corner(in_x),
+                   corner(in_y),
                    {weight * fetch.tap[0], weight * fetch.tap[1], weight * fetch.tap[2], weight * fetch.tap[3]}});
     return;
   }
-  // The 2 x 2 texels fall into at most 2 x 2 tiles; each tile gets the taps that lie in it.
-  const std::size_t first = out.size();
-  for (int t = 0; t < 4; ++t) {
-    if (!(chosen.fetch.tap[t] > 0)) continue;
-    const int x = chosen.fetch.x + t % 2, y = chosen.fetch.y + t / 2;
-    const int tile_x = x / kTile, tile_y = y / kTile;
-    const std::uint32_t tile = geometry.tileNumber({chosen.fetch.level, tile_x, tile_y});
-    // The first texel of the fetch, or where the fetch enters the tile.
-    const int corner_x = std::max(chosen.fetch.x - tile_x * kTile, 0);
-    const int corner_y = std::max(chosen.fetch.y - tile_y * kTile, 0);
-    std::size_t at = first;
-    while (at < out.size() && out[at].tile != tile) ++at;
-    if (at == out.size())
+  // The 2 x 2 texels fall into 2 or 4 tiles; each tile gets the taps that lie in it, at its own first texel.
+  for (int y = 0; y <= splits_y; ++y)
+    for (int x = 0; x <= splits_x; ++x) {
+      const float* const first = fetch.tap + 2 * y + x;
+      const float right = splits_x ? 0 : first[1], below = splits_y ? 0 : first[2];
+      if (!(std::max({first[0], right, below}) > 0)) continue;
       out.push_back({target,
                      lights,
-                     tile,
-                     static_cast<std::uint16_t>(chosen.view),
-                     static_cast<std::uint8_t>(corner_x),
-                     static_cast<std::uint8_t>(corner_y),
-                     {}});
-    out[at].tap[(y % kTile - corner_y) * 2 + (x % kTile - corner_x)] = weight * fetch.tap[t];
-  }
+                     tile(x, y),
+                     view,
+                     corner(x > 0 ? 0 : in_x),
+                     corner(y > 0 ? 0 : in_y),
+                     {weight * first[0], weight * right, weight * below, 0}});
+    }
 }
 
 namespace {
