@@ -516,13 +516,14 @@ void RayBackend::intersect(std::span<const RawRay> rays, std::span<TriangleHit> 
   lookAgain(*scene_, rays, doubtful, hits);
 }
 
-void RayBackend::occluded(std::span<const RawRay> rays, std::span<std::uint8_t> blocked) const {
+void RayBackend::occluded(std::span<const RawRay> rays, bool side_by_side, std::span<std::uint8_t> blocked) const {
   SRF_CHECK(rays.size() == blocked.size());
   for (std::size_t begin = 0; begin < rays.size(); begin += kPacket) {
     const std::size_t count = std::min(kPacket, rays.size() - begin);
     Packet packet(rays.subspan(begin, count), scene_->reach());
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
+    if (side_by_side) context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
     rtcOccluded16(packet.valid, scene_->scene(), &context, &packet.rays.ray);
     for (std::size_t i = 0; i < count; ++i) blocked[begin + i] = packet.rays.ray.tfar[i] == -INFINITY;
   }

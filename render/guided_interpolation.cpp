@@ -252,7 +252,7 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
       far_distances.push_back(far);
     }
     blocked.assign(rays.size(), 0);
-    occluders_.rays().occluded(rays, far_distances, 0, blocked);
+    occluders_.rays().occluded(rays, far_distances, 0, blocked, /*side_by_side=*/true);
     for (std::size_t i = begin; i < end; ++i) {
       const auto [light, h] = wanted[block.ray_order[i]];
       block.sight[h * row() + light] = blocked[i - begin] ? kHidden : kInSight;
