@@ -265,12 +265,11 @@ void weighOf(const RankedLanes& lanes, std::size_t count, std::int64_t* pair, do
   const auto one = hn::Set(d, 1.0), cap = hn::Set(d, kPenaltyCap), least = hn::Set(d, kLeastPenalty);
   const std::size_t stride = lanes.stride;
   for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
-    hn::Vec<decltype(d)> best[k + 1], worst = hn::Zero(d);
+    hn::Vec<decltype(d)> best[k + 1];
     hn::Vec<decltype(n)> of[k + 1];
     for (int j = 0; j <= k; ++j) best[j] = cap, of[j] = hn::Zero(n);
-    for (int j = 0; j <= k; ++j) {
+    for (std::size_t j = 0; j < lanes.ranks; ++j) {
       auto penalty = hn::LoadU(d, lanes.penalty + j * stride + i);
-      worst = hn::Max(worst, penalty);
       auto which = hn::Iota(n, static_cast<std::int64_t>(j * stride + i));
       keepLeast(best, of, penalty, which);
     }
@@ -291,7 +290,7 @@ void weighOf(const RankedLanes& lanes, std::size_t count, std::int64_t* pair, do
     }
     const auto rest = hn::PromoteTo(d, hn::LoadU(f, lanes.rest + i));
     const auto others =
-        hn::And(hn::Lt(rest, hn::Set(d, std::numeric_limits<double>::infinity())), hn::Not(hn::Gt(rest, worst)));
+        hn::And(hn::Lt(rest, hn::Set(d, std::numeric_limits<double>::infinity())), hn::Not(hn::Gt(rest, best[k])));
     hn::StoreU(hn::IfThenZeroElse(hn::RebindMask(n, others), number), n, taken + i);
   }
 }

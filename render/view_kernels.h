@@ -120,17 +120,17 @@ void placeViews(const PlacedView* views, const WholeTexels& whole, const std::in
                 double least_foreshortening, double border, const HitLanes& hits, std::size_t count,
                 const ViewLanes& out);
 
-/// Pairs of hits and views: rank j of hit i at j * stride + i, those of a hit by rising view. Penalties at kPenaltyCap
-/// are of none.
+/// Pairs of hits and views: rank j < ranks of hit i at j * stride + i, those of a hit by rising view. Penalties at
+/// kPenaltyCap are of none.
 struct RankedLanes {
   const double *penalty, *foreshortening;
   const float* rest;  ///< of each hit: no other view's penalty is less; infinite: there is none
-  std::size_t stride;
+  std::size_t ranks, stride;
 };
 /// The weights of M12, as lumigraphWeights has them, times foreshortening and with sum 1, of the k pairs of least
-/// penalty among k + 1 ranks, k < kMostNearViews: in their order, `pair[r * stride + i]` and its weight, r < taken[i].
-/// taken[i] is 0 where other views may count too, and where no weight is above 0. The same bits in every instruction
-/// set.
+/// penalty among more than k ranks, k < kMostNearViews: in their order, `pair[r * stride + i]` and its weight, r <
+/// taken[i]. taken[i] is 0 where other views may count too, and where no weight is above 0. The same bits in every
+/// instruction set.
 void weighViews(const RankedLanes& lanes, std::size_t count, int k, std::int64_t* pair, double* weight,
                 std::int64_t* taken);
 

@@ -276,7 +276,7 @@ void ViewSelection::selectSome(std::span<const ViewQuery> queries, std::span<con
   const ViewLanes all = viewLanes(s, 0);
   const bool enough = ranks > static_cast<std::size_t>(k_);
   if (enough)
-    weighViews({all.penalty, all.foreshortening, s.rest.data(), kAtOnce}, hits, k_, s.chosen_pair.data(),
+    weighViews({all.penalty, all.foreshortening, s.rest.data(), ranks, kAtOnce}, hits, k_, s.chosen_pair.data(),
                s.weight.data(), s.taken.data());
 
   for (std::size_t h = 0; h < hits; ++h) {

@@ -103,8 +103,8 @@ class ViewSelection {
   void readHits(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s) const;
   /// The weight of the hit's points that the view sees.
   double seenShare(const ViewQuery& query, std::uint32_t view) const;
-  /// How many views of a hit are looked at first.
-  std::size_t nearViews() const { return static_cast<std::size_t>(std::min(k_ + 1, kMostNearViews)); }
+  /// How many views of a hit are looked at first: one more than suffice where all of them show it well.
+  std::size_t nearViews() const { return static_cast<std::size_t>(std::min(k_ + 2, kMostNearViews)); }
   /// Looks at `count` pairs from `first` on; the i-th is of the hit query[i * step], which `from` has in lane i.
   void lookAt(const ViewQuery* query, std::size_t step, const HitLanes& from, std::size_t first, std::size_t count,
               Scratch& s) const;

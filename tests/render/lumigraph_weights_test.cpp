@@ -462,24 +462,20 @@ TEST(ViewSelection, WeightsOfManyHitsAreThoseOfEach) {
   std::uniform_real_distribution<double> uniform(0.01, 1);
   constexpr std::size_t kHits = 1000, kStride = paddedLanes(kHits);
   for (int k = 1; k < kMostNearViews; ++k) {
-    std::vector<double> penalty((k + 1) * kStride, kPenaltyCap), foreshortening((k + 1) * kStride, 1),
-        weight(k * kStride);
+    const std::size_t ranks = k + 1 + k % 3;
+    std::vector<double> penalty(ranks * kStride, kPenaltyCap), foreshortening(ranks * kStride, 1), weight(k * kStride);
     std::vector<float> rest(kStride, INFINITY);
     std::vector<std::int64_t> pair(k * kStride), taken(kStride);
     for (double& p : penalty)
       p = random() % 5 == 0 ? kPenaltyCap : random() % 5 == 0 ? 0.1 * (1 + random() % 3) : uniform(random);
     for (double& f : foreshortening) f = uniform(random);
     for (float& r : rest) r = random() % 3 ? INFINITY : static_cast<float>(uniform(random));
-    weighViews({penalty.data(), foreshortening.data(), rest.data(), kStride}, kHits, k, pair.data(), weight.data(),
-               taken.data());
+    weighViews({penalty.data(), foreshortening.data(), rest.data(), ranks, kStride}, kHits, k, pair.data(),
+               weight.data(), taken.data());
     int left = 0;
     for (std::size_t h = 0; h < kHits; ++h) {
-      double worst = 0;
       std::vector<Penalised> all;
-      for (int j = 0; j <= k; ++j) {
-        worst = std::max(worst, penalty[j * kStride + h]);
-        all.push_back({penalty[j * kStride + h], static_cast<std::uint32_t>(j)});
-      }
+      for (std::uint32_t j = 0; j < ranks; ++j) all.push_back({penalty[j * kStride + h], j});
       std::erase_if(all, [](const Penalised& p) { return !(p.penalty < kPenaltyCap); });
       std::sort(all.begin(), all.end());
       const double t = all.size() > static_cast<std::size_t>(k) ? all[k].penalty : kPenaltyCap;
@@ -491,7 +487,7 @@ TEST(ViewSelection, WeightsOfManyHitsAreThoseOfEach) {
         want.push_back({p.source * kStride + h, w * foreshortening[p.source * kStride + h]});
         sum += want.back().second;
       }
-      if (rest[h] <= worst) want.clear();
+      if (rest[h] <= t) want.clear();
       left += want.empty();
       ASSERT_EQ(taken[h], static_cast<std::int64_t>(want.size())) << "k " << k << ", hit " << h;
       for (std::size_t r = 0; r < want.size(); ++r) {
