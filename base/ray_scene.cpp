@@ -373,18 +373,27 @@ struct Packet {
   double start[kPacket];
 
   Packet(std::span<const RawRay> from, double reach) {
+    // Side by side first: then the rest is done for several at once.
+    double o[3][kPacket], d[3][kPacket], near_distance[kPacket], far_distance[kPacket];
     for (std::size_t i = 0; i < kPacket; ++i) {
       const RawRay& r = from[std::min(i, from.size() - 1)];
       valid[i] = i < from.size() ? -1 : 0;
-      start[i] = std::max(0.0, -dot(r.origin, r.direction) - 1.01 * reach);
-      const Vec3 o = r.origin + start[i] * r.direction;
-      RTCRay16& ray = rays.ray;
-      ray.org_x[i] = static_cast<float>(o.x), ray.org_y[i] = static_cast<float>(o.y);
-      ray.org_z[i] = static_cast<float>(o.z);
-      ray.dir_x[i] = static_cast<float>(r.direction.x), ray.dir_y[i] = static_cast<float>(r.direction.y);
-      ray.dir_z[i] = static_cast<float>(r.direction.z);
-      ray.tnear[i] = static_cast<float>(std::max(0.0, r.near_distance - start[i]));
-      ray.tfar[i] = static_cast<float>(r.far_distance - start[i]);
+      for (int k = 0; k < 3; ++k) o[k][i] = r.origin[k], d[k][i] = r.direction[k];
+      near_distance[i] = r.near_distance, far_distance[i] = r.far_distance;
+    }
+    RTCRay16& ray = rays.ray;
+    for (std::size_t i = 0; i < kPacket; ++i) {
+      const double along = o[0][i] * d[0][i] + o[1][i] * d[1][i] + o[2][i] * d[2][i];
+      start[i] = std::max(0.0, -along - 1.01 * reach);
+      ray.org_x[i] = static_cast<float>(o[0][i] + start[i] * d[0][i]);
+      ray.org_y[i] = static_cast<float>(o[1][i] + start[i] * d[1][i]);
+      ray.org_z[i] = static_cast<float>(o[2][i] + start[i] * d[2][i]);
+      ray.dir_x[i] = static_cast<float>(d[0][i]), ray.dir_y[i] = static_cast<float>(d[1][i]);
+      ray.dir_z[i] = static_cast<float>(d[2][i]);
+      ray.tnear[i] = static_cast<float>(std::max(0.0, near_distance[i] - start[i]));
+      ray.tfar[i] = static_cast<float>(far_distance[i] - start[i]);
+    }
+    for (std::size_t i = 0; i < kPacket; ++i) {
       ray.time[i] = 0, ray.mask[i] = 0xffffffffu, ray.id[i] = static_cast<unsigned>(i), ray.flags[i] = 0;
       rays.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
     }
@@ -507,13 +516,14 @@ void RayBackend::intersect(std::span<const RawRay> rays, std::span<TriangleHit> 
   lookAgain(*scene_, rays, doubtful, hits);
 }
 
-void RayBackend::occluded(std::span<const RawRay> rays, std::span<std::uint8_t> blocked) const {
+void RayBackend::occluded(std::span<const RawRay> rays, bool side_by_side, std::span<std::uint8_t> blocked) const {
   SRF_CHECK(rays.size() == blocked.size());
   for (std::size_t begin = 0; begin < rays.size(); begin += kPacket) {
     const std::size_t count = std::min(kPacket, rays.size() - begin);
     Packet packet(rays.subspan(begin, count), scene_->reach());
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
+    if (side_by_side) context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
     rtcOccluded16(packet.valid, scene_->scene(), &context, &packet.rays.ray);
     for (std::size_t i = 0; i < count; ++i) blocked[begin + i] = packet.rays.ray.tfar[i] == -INFINITY;
   }

@@ -199,18 +199,22 @@ class BareViews {
             kAtOnce, kAtOnce, wanted, bound.data(), nearest.data(), rest.data());
     });
     parallelFor((pairs_ + kAtOnce - 1) / kAtOnce, 8, [&](std::size_t begin, std::size_t end) {
-      std::array<std::vector<double>, 11> out;
+      std::array<std::vector<double>, 6> out;
       for (auto& lane : out) lane.resize(kAtOnce);
-      const PlacedView view{camera_, {}, false};
+      std::array<std::vector<std::int32_t>, 3> texels;
+      for (auto& lane : texels) lane.resize(kAtOnce);
+      std::vector<float> taps(4 * kAtOnce);
+      const PlacedView view(camera_);
+      const WholeTexels whole;
       const std::vector<std::int32_t> of(kAtOnce, 0);
       const std::vector<double> one(kAtOnce, 1.0);
       const auto& l = lanes_;
-      const HitLanes in{l[0].data(), l[1].data(), l[2].data(), l[3].data(), l[4].data(), l[5].data(),
-                        l[6].data(), l[7].data(), l[8].data(), l[9].data(), one.data()};
+      const HitLanes in{l[0].data(), l[1].data(), l[2].data(), l[3].data(), l[4].data(),  l[5].data(), l[6].data(),
+                        l[7].data(), l[8].data(), l[9].data(), one.data(),  seen_.data(), kAtOnce};
       for (std::size_t b = begin; b < end; ++b)
-        placeViews(&view, of.data(), 0.05, 4, in, kAtOnce,
+        placeViews(&view, whole, of.data(), 0.05, 4, in, kAtOnce,
                    {out[0].data(), out[1].data(), out[2].data(), out[3].data(), out[4].data(), out[5].data(),
-                    out[6].data(), out[7].data(), out[8].data(), out[9].data(), out[10].data()});
+                    texels[0].data(), texels[1].data(), texels[2].data(), taps.data()});
     });
   }
 

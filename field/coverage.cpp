@@ -38,6 +38,31 @@ Coverage::Coverage(const Image8& image)
   partial_.shrink_to_fit();
 }
 
+std::uint32_t Coverage::fullRow(int tile_x, int tile_y, int row) const {
+  const std::size_t at = static_cast<std::size_t>(tile_y) * tiles_x_ + tile_x;
+  if (tile_x >= tiles_x_ || at >= tiles_.size()) return 0;
+  const std::uint32_t tile = tiles_[at];
+  if (tile < kMixed) return tile == 255 ? 0xffff : 0;
+  return mixed_[tile - kMixed].full[row / 4] >> (row % 4 * kSide) & 0xffff;
+}
+
+std::array<std::uint16_t, 16> Coverage::wholeRows(int tile_x, int tile_y) const {
+  static_assert(kSide == 16);
+  std::array<std::uint16_t, 16> whole;
+  const auto pairs = [&](int row) {  // of texels beside one another that are 255
+    const int y = tile_y + row / kSide;
+    const std::uint32_t full = fullRow(tile_x, y, row % kSide) | (fullRow(tile_x + 1, y, row % kSide) & 1) << kSide;
+    return full & full >> 1;
+  };
+  std::uint32_t above = pairs(0);
+  for (int row = 0; row < kSide; ++row) {
+    const std::uint32_t below = pairs(row + 1);
+    whole[row] = static_cast<std::uint16_t>(above & below);
+    above = below;
+  }
+  return whole;
+}
+
 std::size_t Coverage::bytes() const {
   return tiles_.capacity() * sizeof tiles_[0] + mixed_.capacity() * sizeof(Mixed) + partial_.capacity();
 }

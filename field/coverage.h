@@ -2,6 +2,7 @@
 // texels are.
 #pragma once
 
+#include <array>
 #include <bit>
 #include <cstddef>
 #include <cstdint>
@@ -23,34 +24,28 @@ class Coverage {
   int height() const { return height_; }
   /// 0..255. x, y must lie inside.
   std::uint8_t at(int x, int y) const {
-    const std::uint32_t tile = tiles_[static_cast<std::size_t>(y / kSide) * tiles_x_ + x / kSide];
+    const unsigned column = static_cast<unsigned>(x), row = static_cast<unsigned>(y);
+    const std::uint32_t tile = tiles_[std::size_t{row / kSide} * static_cast<unsigned>(tiles_x_) + column / kSide];
     if (tile < kMixed) return static_cast<std::uint8_t>(tile);
     const Mixed& mixed = mixed_[tile - kMixed];
-    const int bit = y % kSide * kSide + x % kSide, word = bit / 64;
+    const unsigned bit = row % kSide * kSide + column % kSide, word = bit / 64;
     const std::uint64_t mask = std::uint64_t{1} << bit % 64;
     if (mixed.full[word] & mask) return 255;
     if (!(mixed.partial[word] & mask)) return 0;
     std::size_t at = mixed.first + std::popcount(mixed.partial[word] & (mask - 1));
-    for (int w = 0; w < word; ++w) at += std::popcount(mixed.partial[w]);
+    for (unsigned w = 0; w < word; ++w) at += std::popcount(mixed.partial[w]);
     return partial_[at];
   }
-  /// Whether 2 x 2 texels from (x, y) on are all 255. They must lie inside.
-  bool whole(int x, int y) const {
-    const unsigned in_x = static_cast<unsigned>(x) % kSide, in_y = static_cast<unsigned>(y) % kSide;
-    if (in_x == kSide - 1 || in_y == kSide - 1)
-      return (at(x, y) & at(x + 1, y) & at(x, y + 1) & at(x + 1, y + 1)) == 255;
-    const std::uint32_t tile =
-        tiles_[std::size_t{static_cast<unsigned>(y) / kSide} * tiles_x_ + static_cast<unsigned>(x) / kSide];
-    if (tile < kMixed) return tile == 255;
-    const Mixed& mixed = mixed_[tile - kMixed];
-    const auto row = [&](unsigned i) { return mixed.full[i / 4] >> (i % 4 * kSide + in_x); };
-    return (row(in_y) & row(in_y + 1) & 3) == 3;
-  }
+  /// Of the 16 x 16 texels of a tile, row by row: bit x of a row where it and its neighbours to the right, below and
+  /// beyond are all 255. Beyond the last tile there is nothing.
+  std::array<std::uint16_t, 16> wholeRows(int tile_x, int tile_y) const;
   std::size_t bytes() const;
 
  private:
   static constexpr int kSide = 16;
   static constexpr std::uint32_t kMixed = 256;
+  /// Bit x: texel x of a tile's row is 255.
+  std::uint32_t fullRow(int tile_x, int tile_y, int row) const;
   struct Mixed {
     std::uint64_t full[4] = {}, partial[4] = {};  ///< one bit a texel, row by row: 255; neither 0 nor 255
     std::uint32_t first = 0;                      ///< of its partial texels' values in partial_

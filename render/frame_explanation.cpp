@@ -32,9 +32,8 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
   PixelExplanation result;
   result.samples = static_cast<int>(plan.pattern.size());
   s.gather(plan, rays, block, nullptr, &result.hits);
-  s.shared.want(block.shading.lights.wanted, plan.lighting);
+  s.shared.want(block.shading.lights, plan.lighting);
   s.shared.compute(plan.lighting);
-  s.shared.resolve(block.shading.lights);
   s.shading->execute({&block.shading, 1});
   const auto colors = hitColors(block.shading, block.guided);
   std::array<double, 4> sum{};

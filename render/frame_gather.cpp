@@ -9,43 +9,40 @@ namespace srf {
 
 void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
                                          std::vector<ShadingOperation>& out) const {
-  const StoreGeometry& geometry = selection->views()[chosen.view].geometry;
   const Fetch& fetch = chosen.fetch;
+  if (!(fetch.covered > 0)) return;
+  const StoreGeometry& geometry = selection->views()[chosen.view].geometry;
   const float weight = static_cast<float>(chosen.weight);
+  const auto view = static_cast<std::uint16_t>(chosen.view);
   const int in_x = fetch.x & (kTile - 1), in_y = fetch.y & (kTile - 1);
-  if (fetch.x >= 0 && fetch.y >= 0 && in_x < kTile - 1 && in_y < kTile - 1) {  // all in one tile
-    if (!(std::max({fetch.tap[0], fetch.tap[1], fetch.tap[2], fetch.tap[3]}) > 0)) return;
+  const int tile_x = (fetch.x - in_x) / kTile, tile_y = (fetch.y - in_y) / kTile;
+  const auto tile = [&](int x, int y) { return geometry.tileNumber({fetch.level, tile_x + x, tile_y + y}); };
+  const auto corner = [](int at) { return static_cast<std::uint8_t>(at); };
+  const bool splits_x = in_x == kTile - 1, splits_y = in_y == kTile - 1;
+  if (!splits_x && !splits_y) {  // all in one tile
     out.push_back({target,
                    lights,
-                   geometry.tileNumber({fetch.level, fetch.x / kTile, fetch.y / kTile}),
-                   static_cast<std::uint16_t>(chosen.view),
-                   static_cast<std::uint8_t>(in_x),
-                   static_cast<std::uint8_t>(in_y),
+                   tile(0, 0),
+                   view,
+                   corner(in_x),
+                   corner(in_y),
                    {weight * fetch.tap[0], weight * fetch.tap[1], weight * fetch.tap[2], weight * fetch.tap[3]}});
     return;
   }
-  // The 2 x 2 texels fall into at most 2 x 2 tiles; each tile gets the taps that lie in it.
-  const std::size_t first = out.size();
-  for (int t = 0; t < 4; ++t) {
-    if (!(chosen.fetch.tap[t] > 0)) continue;
-    const int x = chosen.fetch.x + t % 2, y = chosen.fetch.y + t / 2;
-    const int tile_x = x / kTile, tile_y = y / kTile;
-    const std::uint32_t tile = geometry.tileNumber({chosen.fetch.level, tile_x, tile_y});
-    // The first texel of the fetch, or where the fetch enters the tile.
-    const int corner_x = std::max(chosen.fetch.x - tile_x * kTile, 0);
-    const int corner_y = std::max(chosen.fetch.y - tile_y * kTile, 0);
-    std::size_t at = first;
-    while (at < out.size() && out[at].tile != tile) ++at;
-    if (at == out.size())
+  // The 2 x 2 texels fall into 2 or 4 tiles; each tile gets the taps that lie in it, at its own first texel.
+  for (int y = 0; y <= splits_y; ++y)
+    for (int x = 0; x <= splits_x; ++x) {
+      const float* const first = fetch.tap + 2 * y + x;
+      const float right = splits_x ? 0 : first[1], below = splits_y ? 0 : first[2];
+      if (!(std::max({first[0], right, below}) > 0)) continue;
       out.push_back({target,
                      lights,
-                     tile,
-                     static_cast<std::uint16_t>(chosen.view),
-                     static_cast<std::uint8_t>(corner_x),
-                     static_cast<std::uint8_t>(corner_y),
-                     {}});
-    out[at].tap[(y % kTile - corner_y) * 2 + (x % kTile - corner_x)] = weight * fetch.tap[t];
-  }
+                     tile(x, y),
+                     view,
+                     corner(x > 0 ? 0 : in_x),
+                     corner(y > 0 ? 0 : in_y),
+                     {weight * first[0], weight * right, weight * below, 0}});
+    }
 }
 
 namespace {
@@ -119,7 +116,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     lap(kGround);
   }
 
-  std::vector<std::size_t> met;
+  thread_local std::vector<std::size_t> met;  // likewise
+  met.clear();
   if (sparse && !before_blend) {
     fewer.places.clear();
     for (const SurfaceHit& hit : hits) fewer.places.push_back({hit.count > 0, hit.distance, hit.p0});
@@ -167,8 +165,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
   }
 
   std::vector<std::pair<std::uint32_t, std::uint32_t>> handles;  // (list, light weights) of the hit
-  std::vector<FrameLighting::Wanted> wanted;                     // of met, by handle, weighed below
-  wanted.reserve(met.size());
+  thread_local std::vector<FrameLighting::Wanted> wanted;        // of met, by handle, weighed below
+  wanted.clear();
   out.pixel.reserve(met.size());
   out.shading.operations.reserve(chosen.views.size() + chosen.views.size() / 4);
   Clock::duration supporting{0};
@@ -189,18 +187,20 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
       addOperations(target, c, handle->second, out.shading.operations);
     }
     const SurfaceHit& hit = hits[met[m]];
-    const int x = static_cast<int>(pixels[met[m]] % width), y = static_cast<int>(pixels[met[m]] / width);
-    std::optional<HitSupport> hit_support;
-    if (support && first_of_pixel && (layers || (x % 2 == 0 && y % 2 == 0))) {
-      const auto asked = Clock::now();
-      hit_support = support->at(hit, look_ups[m], chosen.of(m), chosen.result[m], plan.lighting);
-      supporting += Clock::now() - asked;
-      if (x % 2 == 0 && y % 2 == 0) out.support.add(*hit_support);
+    if (first_of_pixel && (support || layers)) {
+      const int x = static_cast<int>(pixels[met[m]] % width), y = static_cast<int>(pixels[met[m]] / width);
+      std::optional<HitSupport> hit_support;
+      if (support && (layers || (x % 2 == 0 && y % 2 == 0))) {
+        const auto asked = Clock::now();
+        hit_support = support->at(hit, look_ups[m], chosen.of(m), chosen.result[m], plan.lighting);
+        supporting += Clock::now() - asked;
+        if (x % 2 == 0 && y % 2 == 0) out.support.add(*hit_support);
+      }
+      if (layers)
+        layers->set(x, y,
+                    {hit, look_ups[m], queries[m].view, chosen.of(m), hit_support ? &*hit_support : nullptr,
+                     deformed.model().kind == ModelKind::surfels ? hit.count : 1});
     }
-    if (first_of_pixel && layers)
-      layers->set(x, y,
-                  {hit, look_ups[m], queries[m].view, chosen.of(m), hit_support ? &*hit_support : nullptr,
-                   deformed.model().kind == ModelKind::surfels ? hit.count : 1});
     if (explained) {
       const auto views = chosen.of(m);
       explained->push_back({rays[met[m]],

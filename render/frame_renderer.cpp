@@ -65,6 +65,16 @@ FrameLighting::Options lightingOptions(const FrameRenderer::State& state, const 
 
 }  // namespace
 
+void PixelBlock::clear() {
+  shading.targets = 0;
+  shading.operations.clear(), shading.lights.clear(), shading.results.clear();
+  pixel.clear(), guided.clear(), between.clear(), ground.clear(), alpha.clear();
+  collapsed = not_seen = no_view = 0;
+  shadow_rays = model_values = ground_rays = shadows_not_told = 0;
+  support = {};
+  seconds = {};
+}
+
 std::vector<std::array<double, 3>> hitColors(const ShadingBatch& shading,
                                              const std::vector<std::array<double, 3>>& guided) {
   std::vector<std::array<double, 3>> colors = sumResults(shading);
@@ -201,30 +211,34 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   std::vector<std::uint64_t> first_plan;  // of the frame
   FrameSupport frame_support;
   for (int next = 0; next < pieces;) {
-    std::vector<PixelBlock> batch;
-    std::size_t bytes = 0;
+    std::size_t used = 0, bytes = 0;
     if (s.shared.bytes() > budget / 2) s.shared.clear();
     while (next < pieces && bytes + s.shared.bytes() < budget) {
       throwIfInterrupted();
       const int count = std::min(group, pieces - next);
-      const std::size_t first = batch.size();
-      batch.resize(first + count);
+      const std::size_t first = used;
+      used += count;
+      if (s.blocks.size() < used) s.blocks.resize(used);
       parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
           const auto start = Clock::now();
           thread_local PixelRays rays;  // for its memory
           raysOfPiece(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i), rays);
-          PixelBlock& block = batch[first + i];
+          PixelBlock& block = s.blocks[first + i];
+          block.clear();
           block.seconds[kTrace] += secondsSince(start);
           s.gather(plan, rays, block, layers.wanted() ? &layers : nullptr, nullptr);
         }
       });
       std::array<double, kGatherStages.size()> spent{};
-      for (std::size_t i = first; i < batch.size(); ++i) {
-        bytes += batch[i].bytes();
-        s.shared.want(batch[i].shading.lights.wanted, plan.lighting);
-        for (std::size_t stage = 0; stage < spent.size(); ++stage) spent[stage] += batch[i].seconds[stage];
+      for (std::size_t i = first; i < used; ++i) {
+        bytes += s.blocks[i].bytes();
+        s.shared.want(s.blocks[i].shading.lights, plan.lighting);
+        for (std::size_t stage = 0; stage < spent.size(); ++stage) spent[stage] += s.blocks[i].seconds[stage];
       }
+      std::size_t kept = bytes;  // those of earlier batches that this one has not used count too
+      for (std::size_t i = used; i < s.blocks.size(); ++i) kept += s.blocks[i].bytes();
+      if (kept > budget) s.blocks.resize(used);
       // The threads worked on all of these at once: each stage's part of the time that passed.
       const double passed = secondsSince(clock), all = std::accumulate(spent.begin(), spent.end(), 1e-12);
       for (std::size_t stage = 0; stage < spent.size(); ++stage)
@@ -236,12 +250,10 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     s.shared.compute(plan.lighting);
     vector_count += s.shared.computed() - computed_before;
     lap("weights");
+    const std::span<PixelBlock> batch(s.blocks.data(), used);
     std::vector<ShadingBatch> shading;
     shading.reserve(batch.size());
-    for (PixelBlock& block : batch) {
-      s.shared.resolve(block.shading.lights);
-      shading.push_back(std::move(block.shading));
-    }
+    for (PixelBlock& block : batch) shading.push_back(std::move(block.shading));
     s.shading->execute(shading, s.settings.order);  // M15
     if (first_plan.empty()) first_plan = s.shading->lastPlan();
     lap("execute");
@@ -281,6 +293,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       model_values += batch[b].model_values;
       not_told += batch[b].shadows_not_told;
       frame_support.add(batch[b].support);
+      batch[b].shading = std::move(shading[b]);  // for its memory
     }
     if (collapsed) s.reporter.count("frame.collapsed", collapsed);
     if (not_seen) s.reporter.count("hits.no_visible_view", not_seen);

@@ -42,6 +42,8 @@ struct PixelBlock {
   FrameSupport support;
   std::array<double, kGatherStages.size()> seconds{};  ///< of each of them
 
+  /// Empties it; its memory stays.
+  void clear();
   std::size_t bytes() const {
     return shading.operations.capacity() * (sizeof(ShadingOperation) + sizeof(Rgb)) + shading.lights.bytes() +
            pixel.capacity() * sizeof(std::uint32_t) + guided.capacity() * sizeof(guided.front()) +
@@ -85,6 +87,7 @@ struct FrameRenderer::State {
   std::optional<DeformedModel> rest;  ///< what casts the rest pose's shadows, once they are asked for
   SharedLightVectors shared;
   std::vector<std::array<double, 4>> sums;  ///< of each pixel of the frame at hand; kept for its memory
+  std::vector<PixelBlock> blocks;           ///< likewise
   std::map<std::string, double> seconds;    ///< by stage, over all frames
 };
 

@@ -252,7 +252,7 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
       far_distances.push_back(far);
     }
     blocked.assign(rays.size(), 0);
-    occluders_.rays().occluded(rays, far_distances, 0, blocked);
+    occluders_.rays().occluded(rays, far_distances, 0, blocked, /*side_by_side=*/true);
     for (std::size_t i = begin; i < end; ++i) {
       const auto [light, h] = wanted[block.ray_order[i]];
       block.sight[h * row() + light] = blocked[i - begin] ? kHidden : kInSight;
@@ -477,6 +477,9 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   const AcquiredLights& list = lighting_.lists()[list_index];
   const LookUp& look_up = *hit.query.look_up;
   const std::size_t pad = lightPad(list.count()), near_count = lights.near_lights.size();
+  // The weights are written last: until then their memory can come near.
+  if (out.own.capacity() - out.own.size() >= 3 * pad)
+    for (std::size_t i = 0; i < 3 * pad; i += kVectorLanes) __builtin_prefetch(out.own.data() + out.own.size() + i, 1);
   double list_share = 0;
   for (const ChosenView& chosen : hit.query.chosen)
     if (list_of_view_[chosen.view] == list_index) list_share += chosen.weight;

@@ -35,9 +35,15 @@ void LevelChoice::apply(const Camera<ObjectSpace>& camera, double samples_per_pi
                         const LookUp& look_up, const Direction<AcquisitionSpace>& view,
                         std::span<ChosenView> chosen) const {
   if (!(texels_ > 0)) return;
-  const double stretch = length(cross(hit.tangents.u, hit.tangents.v).raw());
   const double reach = camera.lens.isOrthographic() ? 1 : hit.distance;
   const double slant = std::max(std::fabs(dot(look_up.normal, view)), kLeastCosine);
+  // Most samples are far from it, which is known without a root and a division.
+  const Vec3 &u = hit.tangents.u.raw(), &v = hit.tangents.v.raw();
+  const Vec3 n{u.y * v.z - u.z * v.y, u.z * v.x - u.x * v.z, u.x * v.y - u.y * v.x};
+  const double most = reach * reach * densest_,
+               least = texels_ * texels_ * camera.lens.fl_x * camera.lens.fl_y * samples_per_pixel * slant;
+  if (most * most < 0.99 * least * least * dot(n, n)) return;
+  const double stretch = length(cross(hit.tangents.u, hit.tangents.v).raw());
   // Area of the surface at rest that the sample shows.
   const double area = reach * reach / (camera.lens.fl_x * camera.lens.fl_y * samples_per_pixel * slant * stretch);
   if (!(area * densest_ >= texels_ * texels_) || !std::isfinite(area)) return;

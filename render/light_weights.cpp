@@ -62,6 +62,11 @@ std::uint32_t LightGather::append(LightWeights w, int lights) {
   return static_cast<std::uint32_t>(weights.size() - 1);
 }
 
+void LightGather::clear() {
+  weights.clear(), entries.clear(), own.clear();
+  wanted.clear(), vectors.clear(), known.clear();
+}
+
 std::size_t LightGather::bytes() const {
   return weights.capacity() * sizeof(LightWeights) + entries.capacity() * sizeof(LightEntry) +
          own.capacity() * sizeof(float) + wanted.capacity() * (sizeof(SharedKey) + sizeof(float*) + 48);
@@ -365,14 +370,17 @@ void SharedLightVectors::clear() {
   bytes_ = 0;
 }
 
-void SharedLightVectors::want(std::span<const SharedKey> keys, const FrameLighting& lighting) {
-  for (const SharedKey& key : keys) {
+void SharedLightVectors::want(LightGather& gather, const FrameLighting& lighting) {
+  gather.vectors.clear();
+  for (const SharedKey& key : gather.wanted) {
     const auto [entry, added] = vectors_.try_emplace(key);
-    if (!added) continue;
-    const std::size_t floats = 3 * static_cast<std::size_t>(lightPad(lighting.lists()[key.list].count()));
-    entry->second = std::make_unique_for_overwrite<float[]>(floats);
-    bytes_ += floats * sizeof(float) + 96;  // and the table's node
-    pending_.emplace_back(key, entry->second.get());
+    if (added) {
+      const std::size_t floats = 3 * static_cast<std::size_t>(lightPad(lighting.lists()[key.list].count()));
+      entry->second = std::make_unique_for_overwrite<float[]>(floats);
+      bytes_ += floats * sizeof(float) + 96;  // and the table's node
+      pending_.emplace_back(key, entry->second.get());
+    }
+    gather.vectors.push_back(entry->second.get());
   }
 }
 
@@ -382,11 +390,6 @@ void SharedLightVectors::compute(const FrameLighting& lighting) {
   });
   computed_ += pending_.size();
   pending_.clear();
-}
-
-void SharedLightVectors::resolve(LightGather& gather) const {
-  gather.vectors.clear();
-  for (const SharedKey& key : gather.wanted) gather.vectors.push_back(vectors_.find(key)->second.get());
 }
 
 }  // namespace srf

@@ -52,7 +52,7 @@ struct LightGather {
   std::vector<LightEntry> entries;
   std::vector<float> own;
   std::vector<SharedKey> wanted;      ///< each once
-  std::vector<const float*> vectors;  ///< of `wanted`, once SharedLightVectors has them
+  std::vector<const float*> vectors;  ///< of `wanted`: SharedLightVectors
   std::unordered_map<SharedKey, std::uint32_t, SharedKeyHash> known;
   std::vector<Penalised> scratch;
   std::vector<Weighted> nearest;
@@ -67,6 +67,7 @@ struct LightGather {
   void settle(LightWeights& weights, int lights);
   /// The same; appends them and returns their handle.
   std::uint32_t append(LightWeights weights, int lights);
+  void clear();
   std::size_t bytes() const;
 };
 
@@ -152,11 +153,10 @@ class SharedLightVectors {
   /// Forgets vectors that do not hold for the frame.
   void prepare(const FrameLighting& lighting);
   void clear();
-  /// Notes the keys that are not held yet.
-  void want(std::span<const SharedKey> keys, const FrameLighting& lighting);
+  /// Tells where the vectors lie that are wanted, and notes those that are not held yet: they are filled by compute().
+  void want(LightGather& gather, const FrameLighting& lighting);
   /// Computes what is noted, in parallel.
   void compute(const FrameLighting& lighting);
-  void resolve(LightGather& gather) const;
   std::size_t bytes() const { return bytes_; }
   std::uint64_t computed() const { return computed_; }
 

@@ -25,13 +25,14 @@ namespace hn = hwy::HWY_NAMESPACE;
 template <class V, class N, int kCount>
 HWY_INLINE void keepLeast(V (&best)[kCount], N (&of)[kCount], V& value, N& which) {
   const hn::DFromV<N> n;
+  auto moves = hn::Lt(value, best[0]);  // whether what stood here is moved on: from where the value goes onwards
   for (int j = 0; j < kCount; ++j) {
-    const auto less = hn::Lt(value, best[j]);
-    const auto less_of = hn::RebindMask(n, less);
-    const auto next = hn::IfThenElse(less, best[j], value);
-    const auto next_of = hn::IfThenElse(less_of, of[j], which);
-    best[j] = hn::IfThenElse(less, value, best[j]);
-    of[j] = hn::IfThenElse(less_of, which, of[j]);
+    if (j > 0) moves = hn::Or(moves, hn::Lt(value, best[j]));
+    const auto moves_of = hn::RebindMask(n, moves);
+    const auto next = hn::IfThenElse(moves, best[j], value);
+    const auto next_of = hn::IfThenElse(moves_of, of[j], which);
+    best[j] = hn::IfThenElse(moves, value, best[j]);
+    of[j] = hn::IfThenElse(moves_of, which, of[j]);
     value = next;
     which = next_of;
   }

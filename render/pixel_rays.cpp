@@ -49,6 +49,32 @@ PixelInBlock pixelInBlock(int i) {
   return {packet % across * kPacketSide + within % kPacketSide, packet / across * kPacketSide + within / kPacketSide};
 }
 
+/// Whether every ray of the picture is one that castPinhole gives.
+bool plainPinhole(const Intrinsics& lens) {
+  const auto ordinary = [&lens](double x, double y) {
+    const double down = (y - lens.cy) / lens.fl_y, right = (x - lens.cx - lens.skew * down) / lens.fl_x;
+    return right * right + down * down < 1e50;
+  };
+  return lens.model == CameraModel::pinhole && ordinary(0, 0) && ordinary(lens.width, 0) && ordinary(0, lens.height) &&
+         ordinary(lens.width, lens.height);
+}
+
+/// Appends the rays of a pinhole through `count` places of its picture, as Camera::ray has them; changes the places.
+/// Plain operations, which compilers make wide.
+void castPinhole(const Camera<ObjectSpace>& camera, std::size_t count, double* x, double* y, double* z,
+                 std::vector<Ray<ObjectSpace>>& rays) {
+  const Intrinsics& lens = camera.lens;
+  const Mat3& rotation = camera.pose.rotation().raw();
+  for (std::size_t i = 0; i < count; ++i) {
+    const double down = (y[i] - lens.cy) / lens.fl_y, right = (x[i] - lens.cx - lens.skew * down) / lens.fl_x;
+    const double inverse = 1 / std::sqrt(right * right + down * down + 1);
+    const Vec3 towards{right * inverse, down * inverse, inverse};
+    x[i] = dot(rotation.row[0], towards), y[i] = dot(rotation.row[1], towards), z[i] = dot(rotation.row[2], towards);
+  }
+  for (std::size_t i = 0; i < count; ++i)
+    rays.push_back({camera.pose.origin(), Direction<ObjectSpace>::fromUnit({x[i], y[i], z[i]})});
+}
+
 int blocksAlong(int pixels) {
   return (pixels + kPixelBlock - 1) / kPixelBlock;
 }
@@ -78,11 +104,27 @@ void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens
   result.pixel.clear();
   result.rays.reserve((end - first) * pattern.size());
   result.pixel.reserve((end - first) * pattern.size());
+  const bool pinhole = !lens && plainPinhole(camera.lens);
+  constexpr std::size_t kAtOnce = 64;
+  double to_x[kAtOnce], to_y[kAtOnce], to_z[kAtOnce];
+  std::size_t count = 0;
   for (int i = first; i < end; ++i) {
     const PixelInBlock at = pixelInBlock(i);
     const int x = x0 + at.x, y = y0 + at.y;
-    if (x < camera.lens.width && y < camera.lens.height && cover.covers(x, y)) result.add(camera, lens, pattern, x, y);
+    if (!(x < camera.lens.width && y < camera.lens.height && cover.covers(x, y))) continue;
+    if (!pinhole) {
+      result.add(camera, lens, pattern, x, y);
+      continue;
+    }
+    for (const Vec2& place : pattern) {
+      to_x[count] = x + place.x, to_y[count] = y + place.y;
+      result.pixel.push_back(static_cast<std::uint32_t>(y * camera.lens.width + x));
+      if (++count < kAtOnce) continue;
+      castPinhole(camera, count, to_x, to_y, to_z, result.rays);
+      count = 0;
+    }
   }
+  castPinhole(camera, count, to_x, to_y, to_z, result.rays);
 }
 
 }  // namespace srf

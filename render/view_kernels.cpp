@@ -1,5 +1,7 @@
 #include "render/view_kernels.h"
 
+#include <algorithm>
+#include <array>
 #include <limits>
 
 #include "base/numeric.h"
@@ -60,6 +62,13 @@ void nearestOf(const NearViews& views, const NearLanes& hits, std::size_t count,
       keepLeast(best, of, value, view);
       others = hn::Min(others, value);
     }
+    // Neighbours mostly have the same views, not always in the same order.
+    for (int last = kWanted - 1; last > 0; --last)
+      for (int j = 0; j < last; ++j) {
+        const auto less = hn::Min(of[j], of[j + 1]);
+        of[j + 1] = hn::Max(of[j], of[j + 1]);
+        of[j] = less;
+      }
     for (int j = 0; j < kWanted; ++j) hn::StoreU(of[j], n, nearest + j * stride + i);
     hn::StoreU(others, f, rest + i);
   }
@@ -71,95 +80,225 @@ void nearest(const NearViews& views, const NearLanes& hits, std::size_t count, s
       wanted, [&](auto n) { nearestOf<decltype(n)::value>(views, hits, count, stride, bound, views_nearest, rest); });
 }
 
-/// One view against a vector of hits; results go to the lanes `where`.
+/// What of views the placing of a vector of hits needs, lane by lane.
 template <class D>
-HWY_INLINE void placeOne(D d, const PlacedView& view, hn::Mask<D> where, double least_foreshortening, double fades,
-                         const HitLanes& hits, std::size_t i, const ViewLanes& out) {
-  const Camera<AcquisitionSpace>& camera = view.camera;
-  const Intrinsics& lens = camera.lens;
-  const bool orthographic = lens.isOrthographic();
-  const Mat3& rotation = camera.pose.rotation().raw();  // columns: the camera's axes
-  const Vec3& center = camera.center().raw();
-  const auto zero = hn::Zero(d), one = hn::Set(d, 1.0), half = hn::Set(d, 0.5);
-  const auto put = [&](auto value, double* to) { hn::BlendedStore(value, where, d, to + i); };
-  const auto dot = [&](auto ax, auto ay, auto az, auto bx, auto by, auto bz) {
-    return hn::Add(hn::Add(hn::Mul(ax, bx), hn::Mul(ay, by)), hn::Mul(az, bz));
-  };
-  const auto axis = [&](int column, auto x, auto y, auto z) {
-    return dot(x, y, z, hn::Set(d, rotation.row[0][column]), hn::Set(d, rotation.row[1][column]),
-               hn::Set(d, rotation.row[2][column]));
-  };
-  // From p to the camera.
-  auto tx = hn::Sub(hn::Set(d, center.x), hn::LoadU(d, hits.px + i));
-  auto ty = hn::Sub(hn::Set(d, center.y), hn::LoadU(d, hits.py + i));
-  auto tz = hn::Sub(hn::Set(d, center.z), hn::LoadU(d, hits.pz + i));
-  const auto qx = hn::Neg(axis(0, tx, ty, tz)), qy = hn::Neg(axis(1, tx, ty, tz)), qz = hn::Neg(axis(2, tx, ty, tz));
-  if (orthographic) {
-    const Vec3 forward = camera.forward().raw();
-    tx = hn::Set(d, -forward.x), ty = hn::Set(d, -forward.y), tz = hn::Set(d, -forward.z);
+struct LensLanes {
+  using V = hn::Vec<D>;
+  V center[3], forward[3], rotation[3][3];
+  V fl_x, skew, cx, fl_y, cy, width, height, crop_x, crop_y, across, down, tiles_x, first_tile;
+  hn::Mask<D> orthographic, bends, by_all;
+  bool any_orthographic = false;
+
+  /// All lanes of one view.
+  HWY_INLINE LensLanes(D d, const PlacedView& view) {
+    const auto never = hn::Lt(hn::Zero(d), hn::Zero(d));
+    orthographic = bends = by_all = never;
+    put(view, hn::Not(never), [d](double value, V& to) { to = hn::Set(d, value); });
   }
-  const auto length = hn::Sqrt(dot(tx, ty, tz, tx, ty, tz));
-  const auto inverse = hn::Div(one, length);
-  tx = hn::Mul(tx, inverse), ty = hn::Mul(ty, inverse), tz = hn::Mul(tz, inverse);
-  const auto cx = hn::Sub(tx, hn::LoadU(d, hits.vx + i)), cy = hn::Sub(ty, hn::LoadU(d, hits.vy + i)),
-             cz = hn::Sub(tz, hn::LoadU(d, hits.vz + i));
-  const auto chord = hn::Sqrt(dot(cx, cy, cz, cx, cy, cz));
-  const auto half_angle = hn::Asin(d, hn::Min(one, hn::Mul(half, chord)));
-  const auto angle = hn::Add(half_angle, half_angle);
-  put(angle, out.angle);
+  HWY_INLINE void take(D d, const PlacedView& view, hn::Mask<D> where) {
+    orthographic = hn::AndNot(where, orthographic), bends = hn::AndNot(where, bends);
+    put(view, where, [d, where](double value, V& to) { to = hn::IfThenElse(where, hn::Set(d, value), to); });
+  }
 
-  const auto eye = hn::LoadU(d, hits.eye_distance + i);
-  const auto further = hn::Div(hn::Mul(hn::Set(d, kResolutionPenalty), hn::Sub(length, eye)), eye);
-  const auto counts = orthographic ? hn::Lt(zero, zero) : hn::And(hn::Gt(length, eye), hn::Gt(eye, zero));
-  const auto seen_whole = hn::Max(hn::Add(angle, hn::IfThenElseZero(counts, further)), hn::Set(d, kLeastPenalty));
+ private:
+  template <class Put>
+  HWY_INLINE void put(const PlacedView& view, hn::Mask<D> where, const Put& to) {
+    for (int row = 0; row < 3; ++row) {
+      to(view.center[row], center[row]);
+      for (int column = 0; column < 3; ++column) to(view.rotation.row[row][column], rotation[row][column]);
+    }
+    to(view.fl_x, fl_x), to(view.skew, skew), to(view.cx, cx), to(view.fl_y, fl_y), to(view.cy, cy);
+    to(view.width, width), to(view.height, height), to(view.crop_x, crop_x), to(view.crop_y, crop_y);
+    to(view.across, across), to(view.down, down), to(view.tiles_x, tiles_x), to(view.first_tile, first_tile);
+    for (int row = 0; row < 3 && view.orthographic; ++row) to(view.forward[row], forward[row]);
+    if (view.orthographic) orthographic = hn::Or(orthographic, where), any_orthographic = true;
+    if (view.bends) bends = hn::Or(bends, where);
+  }
+};
 
-  const auto facing = dot(hn::LoadU(d, hits.nx + i), hn::LoadU(d, hits.ny + i), hn::LoadU(d, hits.nz + i), tx, ty, tz);
-  put(hn::Sqrt(hn::Min(one, hn::Max(hn::Set(d, least_foreshortening), facing))), out.foreshortening);
-
-  const auto x = orthographic ? qx : hn::Div(qx, qz), y = orthographic ? qy : hn::Div(qy, qz);
-  const auto pixel_x =
-      hn::Add(hn::Add(hn::Mul(hn::Set(d, lens.fl_x), x), hn::Mul(hn::Set(d, lens.skew), y)), hn::Set(d, lens.cx));
-  const auto pixel_y = hn::Add(hn::Mul(hn::Set(d, lens.fl_y), y), hn::Set(d, lens.cy));
-  put(pixel_x, out.pixel_x);
-  put(pixel_y, out.pixel_y);
-  const auto border = hn::Min(hn::Min(pixel_x, pixel_y), hn::Min(hn::Sub(hn::Set(d, lens.width), pixel_x),
-                                                                 hn::Sub(hn::Set(d, lens.height), pixel_y)));
-  put(border, out.border);
-  const auto split = [&](auto pixel, double first, double* floor, double* part) {
-    const auto at = hn::Sub(hn::Sub(pixel, half), hn::Set(d, first));
-    const auto near = hn::Floor(hn::Add(at, half));
-    const auto snapped = hn::IfThenElse(hn::Lt(hn::Abs(hn::Sub(at, near)), hn::Set(d, 1e-6)), near, at);
-    const auto below = hn::Floor(snapped);
-    put(below, floor);
-    put(hn::Sub(snapped, below), part);
-  };
-  split(pixel_x, view.crop.x, out.floor_x, out.part_x);
-  split(pixel_y, view.crop.y, out.floor_y, out.part_y);
-  const auto in_picture = hn::Gt(orthographic ? border : hn::Min(border, qz), zero);
-  const auto weight = hn::LoadU(d, hits.weight + i), cap = hn::Set(d, kPenaltyCap);
-  const auto known = hn::And(hn::Gt(length, zero), hn::Ne(weight, zero)), always = hn::Eq(one, one);
-  const auto usable = hn::And(known, view.bends ? always : in_picture);
-  const auto ask = hn::Or(hn::Lt(weight, zero), view.bends ? always : hn::Lt(border, hn::Set(d, fades)));
-  put(hn::IfThenElseZero(usable, hn::IfThenElse(ask, hn::Set(d, 2.0), one)), out.usable);
-  const auto penalty = hn::IfThenElse(ask, seen_whole, hn::Div(seen_whole, weight));
-  put(hn::IfThenElse(hn::And(usable, hn::Lt(penalty, cap)), penalty, cap), out.penalty);
+/// hn::Asin of what is not negative, without the part for beyond 1/2 where there is none: the same bits.
+template <class D, class V>
+HWY_INLINE V arcsine(D d, V x) {
+  if (!hn::AllTrue(d, hn::Lt(x, hn::Set(d, 0.5)))) return hn::Asin(d, x);
+  const V squared = hn::Mul(x, x);
+  return hn::MulAdd(hn::impl::AsinImpl<double>().AsinPoly(d, squared, x), hn::Mul(squared, x), x);
 }
 
-void place(const PlacedView* views, const std::int32_t* view, double least_foreshortening, double border,
-           const HitLanes& hits, std::size_t count, const ViewLanes& out) {
+/// Lanes where bit `bit` of a vector of words is set.
+template <class D, class U>
+HWY_INLINE hn::Mask<D> bitSet(D d, U words, U bit) {
+  const hn::DFromV<U> u;
+  const hn::RebindToSigned<decltype(u)> n;
+  return hn::Ne(hn::PromoteTo(d, hn::BitCast(n, hn::And(hn::Shr(words, bit), hn::Set(u, 1u)))), hn::Zero(d));
+}
+
+void place(const PlacedView* views, const WholeTexels& texels, const std::int32_t* view, double least_foreshortening,
+           double fades, const HitLanes& hits, std::size_t count, const ViewLanes& out) {
   const hn::CappedTag<double, kVectorLanes> d;
   const hn::RebindToSigned<decltype(d)> wide;
-  const hn::Rebind<std::int32_t, decltype(d)> narrow;
+  const hn::Rebind<std::int32_t, decltype(d)> n;
+  const hn::Rebind<std::uint32_t, decltype(d)> u;
+  const hn::Rebind<float, decltype(d)> f;
+  const auto zero = hn::Zero(d), one = hn::Set(d, 1.0), half = hn::Set(d, 0.5), cap = hn::Set(d, kPenaltyCap);
+  const auto dot = [](auto ax, auto ay, auto az, auto bx, auto by, auto bz) {
+    return hn::Add(hn::Add(hn::Mul(ax, bx), hn::Mul(ay, by)), hn::Mul(az, bz));
+  };
   for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
-    const auto of = hn::PromoteTo(wide, hn::LoadU(narrow, view + i));
-    auto rest = hn::And(hn::FirstN(wide, count - i), hn::Gt(of, hn::Set(wide, -1)));
-    while (!hn::AllFalse(wide, rest)) {
-      const std::int32_t next = view[i + hn::FindKnownFirstTrue(wide, rest)];
-      const auto same = hn::And(rest, hn::Eq(of, hn::Set(wide, next)));
-      placeOne(d, views[next], hn::RebindMask(d, same), least_foreshortening, border, hits, i, out);
-      rest = hn::AndNot(same, rest);
+    const auto of = hn::PromoteTo(wide, hn::LoadU(n, view + i));
+    const auto some = hn::And(hn::FirstN(wide, count - i), hn::Gt(of, hn::Set(wide, -1)));
+    if (hn::AllFalse(wide, some)) {
+      hn::StoreU(cap, d, out.penalty + i);
+      hn::StoreU(hn::Zero(n), n, out.state + i);
+      continue;
     }
+    const auto views_of = [&](auto lanes) { return view[i + hn::FindKnownFirstTrue(wide, lanes)]; };
+    std::int32_t next = views_of(some);
+    LensLanes lens(d, views[next]);
+    for (auto rest = some;;) {
+      const auto same = hn::And(rest, hn::Eq(of, hn::Set(wide, next)));
+      const auto word = hn::LoadU(u, hits.by_all + next / 32 * hits.stride + i);
+      const auto all = bitSet(d, word, hn::Set(u, static_cast<std::uint32_t>(next % 32)));
+      lens.by_all = hn::Or(lens.by_all, hn::And(hn::RebindMask(d, same), all));
+      rest = hn::AndNot(same, rest);
+      if (hn::AllFalse(wide, rest)) break;
+      next = views_of(rest);
+      lens.take(d, views[next], hn::RebindMask(d, hn::Eq(of, hn::Set(wide, next))));
+    }
+
+    // From p to the camera.
+    auto tx = hn::Sub(lens.center[0], hn::LoadU(d, hits.px + i));
+    auto ty = hn::Sub(lens.center[1], hn::LoadU(d, hits.py + i));
+    auto tz = hn::Sub(lens.center[2], hn::LoadU(d, hits.pz + i));
+    const auto axis = [&](int column) {
+      return hn::Neg(dot(tx, ty, tz, lens.rotation[0][column], lens.rotation[1][column], lens.rotation[2][column]));
+    };
+    const auto qx = axis(0), qy = axis(1), qz = axis(2);
+    if (lens.any_orthographic) {
+      tx = hn::IfThenElse(lens.orthographic, hn::Neg(lens.forward[0]), tx);
+      ty = hn::IfThenElse(lens.orthographic, hn::Neg(lens.forward[1]), ty);
+      tz = hn::IfThenElse(lens.orthographic, hn::Neg(lens.forward[2]), tz);
+    }
+    const auto length = hn::Sqrt(dot(tx, ty, tz, tx, ty, tz));
+    const auto inverse = hn::Div(one, length);
+    tx = hn::Mul(tx, inverse), ty = hn::Mul(ty, inverse), tz = hn::Mul(tz, inverse);
+    const auto cx = hn::Sub(tx, hn::LoadU(d, hits.vx + i)), cy = hn::Sub(ty, hn::LoadU(d, hits.vy + i)),
+               cz = hn::Sub(tz, hn::LoadU(d, hits.vz + i));
+    const auto chord = hn::Sqrt(dot(cx, cy, cz, cx, cy, cz));
+    const auto half_angle = arcsine(d, hn::Min(one, hn::Mul(half, chord)));
+    const auto angle = hn::Add(half_angle, half_angle);
+    hn::StoreU(angle, d, out.angle + i);
+
+    const auto eye = hn::LoadU(d, hits.eye_distance + i);
+    const auto counts = hn::AndNot(lens.orthographic, hn::And(hn::Gt(length, eye), hn::Gt(eye, zero)));
+    auto seen_whole = angle;
+    if (!hn::AllFalse(d, counts)) {
+      const auto further = hn::Div(hn::Mul(hn::Set(d, kResolutionPenalty), hn::Sub(length, eye)), eye);
+      seen_whole = hn::Add(angle, hn::IfThenElseZero(counts, further));
+    }
+    seen_whole = hn::Max(seen_whole, hn::Set(d, kLeastPenalty));
+
+    const auto facing =
+        dot(hn::LoadU(d, hits.nx + i), hn::LoadU(d, hits.ny + i), hn::LoadU(d, hits.nz + i), tx, ty, tz);
+    hn::StoreU(hn::Sqrt(hn::Min(one, hn::Max(hn::Set(d, least_foreshortening), facing))), d, out.foreshortening + i);
+
+    const auto x = hn::IfThenElse(lens.orthographic, qx, hn::Div(qx, qz)),
+               y = hn::IfThenElse(lens.orthographic, qy, hn::Div(qy, qz));
+    const auto pixel_x = hn::Add(hn::Add(hn::Mul(lens.fl_x, x), hn::Mul(lens.skew, y)), lens.cx);
+    const auto pixel_y = hn::Add(hn::Mul(lens.fl_y, y), lens.cy);
+    hn::StoreU(pixel_x, d, out.pixel_x + i);
+    hn::StoreU(pixel_y, d, out.pixel_y + i);
+    const auto border =
+        hn::Min(hn::Min(pixel_x, pixel_y), hn::Min(hn::Sub(lens.width, pixel_x), hn::Sub(lens.height, pixel_y)));
+    hn::StoreU(border, d, out.border + i);
+    const auto in_picture = hn::Gt(hn::IfThenElse(lens.orthographic, border, hn::Min(border, qz)), zero);
+
+    // The four texels about the pixel, as bilinearFetch has them.
+    const auto split = [&](auto pixel, auto first, auto& part) {
+      const auto at = hn::Sub(hn::Sub(pixel, half), first);
+      const auto near = hn::Floor(hn::Add(at, half));
+      const auto snapped = hn::IfThenElse(hn::Lt(hn::Abs(hn::Sub(at, near)), hn::Set(d, 1e-6)), near, at);
+      const auto below = hn::Floor(snapped);
+      part = hn::Sub(snapped, below);
+      return below;
+    };
+    auto part_x = zero, part_y = zero;
+    auto texel_x = split(pixel_x, lens.crop_x, part_x), texel_y = split(pixel_y, lens.crop_y, part_y);
+    const auto inside =
+        hn::And(hn::And(hn::Ge(texel_x, zero), hn::Ge(texel_y, zero)),
+                hn::And(hn::Lt(texel_x, hn::Sub(lens.across, one)), hn::Lt(texel_y, hn::Sub(lens.down, one))));
+    texel_x = hn::IfThenElseZero(inside, texel_x), texel_y = hn::IfThenElseZero(inside, texel_y);
+    const auto column = hn::DemoteTo(n, texel_x), row = hn::DemoteTo(n, texel_y);
+    const auto in_tiles = hn::Set(d, 1.0 / kTile);
+    const auto tile = hn::Add(hn::MulAdd(hn::Floor(hn::Mul(texel_y, in_tiles)), lens.tiles_x, lens.first_tile),
+                              hn::Floor(hn::Mul(texel_x, in_tiles)));
+    static_assert(kTile == 16 && WholeTexels::kTileWords == 8);
+    const auto words = hn::ShiftLeft<3>(hn::GatherIndex(n, texels.tiles(), hn::DemoteTo(n, tile)));
+    const auto word =
+        hn::GatherIndex(u, texels.words(), hn::Add(words, hn::And(hn::ShiftRight<1>(row), hn::Set(n, 7))));
+    const auto bit = hn::Or(hn::And(column, hn::Set(n, 15)), hn::ShiftLeft<4>(hn::And(row, hn::Set(n, 1))));
+    const auto whole = hn::AndNot(lens.bends, hn::And(inside, bitSet(d, word, hn::BitCast(u, bit))));
+    hn::StoreU(column, n, out.x + i);
+    hn::StoreU(row, n, out.y + i);
+    const auto other_x = hn::Sub(one, part_x), other_y = hn::Sub(one, part_y);
+    hn::StoreInterleaved4(hn::DemoteTo(f, hn::Mul(other_x, other_y)), hn::DemoteTo(f, hn::Mul(part_x, other_y)),
+                          hn::DemoteTo(f, hn::Mul(other_x, part_y)), hn::DemoteTo(f, hn::Mul(part_x, part_y)), f,
+                          out.tap + 4 * i);
+
+    const auto signed_weight = hn::LoadU(d, hits.weight + i), weight = hn::Abs(signed_weight);
+    const auto known = hn::And(hn::RebindMask(d, some), hn::And(hn::Gt(length, zero), hn::Ne(weight, zero)));
+    const auto usable = hn::And(known, hn::Or(lens.bends, in_picture));
+    const auto in_part = hn::AndNot(lens.by_all, hn::Lt(signed_weight, zero));
+    const auto ask = hn::Or(hn::Or(in_part, lens.bends), hn::Lt(border, hn::Set(d, fades)));
+    const auto state =
+        hn::IfThenElse(whole, hn::IfThenElse(ask, hn::Set(d, double{kViewAsked}), one), hn::Set(d, double{kViewMixed}));
+    hn::StoreU(hn::DemoteTo(n, hn::IfThenElseZero(usable, state)), n, out.state + i);
+    const auto penalty = hn::IfThenElse(hn::And(whole, hn::Not(ask)), hn::Div(seen_whole, weight), seen_whole);
+    hn::StoreU(hn::IfThenElse(hn::And(usable, hn::Lt(penalty, cap)), penalty, cap), d, out.penalty + i);
   }
+}
+
+template <int k>
+void weighOf(const RankedLanes& lanes, std::size_t count, std::int64_t* pair, double* weights, std::int64_t* taken) {
+  const hn::CappedTag<double, kVectorLanes> d;
+  const hn::RebindToSigned<decltype(d)> n;
+  const hn::Rebind<float, decltype(d)> f;
+  const auto one = hn::Set(d, 1.0), cap = hn::Set(d, kPenaltyCap), least = hn::Set(d, kLeastPenalty);
+  const std::size_t stride = lanes.stride;
+  for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
+    hn::Vec<decltype(d)> best[k + 1];
+    hn::Vec<decltype(n)> of[k + 1];
+    for (int j = 0; j <= k; ++j) best[j] = cap, of[j] = hn::Zero(n);
+    for (std::size_t j = 0; j < lanes.ranks; ++j) {
+      auto penalty = hn::LoadU(d, lanes.penalty + j * stride + i);
+      auto which = hn::Iota(n, static_cast<std::int64_t>(j * stride + i));
+      keepLeast(best, of, penalty, which);
+    }
+    const auto beyond = hn::Div(one, hn::Max(best[k], least));
+    hn::Vec<decltype(d)> weight[k], sum = hn::Zero(d);
+    auto number = hn::Zero(n);
+    for (int r = 0; r < k; ++r) {
+      auto w = hn::Sub(hn::Div(one, hn::Max(best[r], least)), beyond);
+      const auto counts = hn::And(hn::Lt(best[r], cap), hn::Gt(w, hn::Zero(d)));
+      w = hn::Mul(w, hn::GatherIndex(d, lanes.foreshortening, of[r]));
+      weight[r] = hn::IfThenElseZero(counts, w);
+      sum = hn::Add(sum, weight[r]);
+      number = hn::Add(number, hn::IfThenElseZero(hn::RebindMask(n, counts), hn::Set(n, 1)));
+    }
+    for (int r = 0; r < k; ++r) {
+      hn::StoreU(hn::Div(weight[r], sum), d, weights + r * stride + i);
+      hn::StoreU(of[r], n, pair + r * stride + i);
+    }
+    const auto rest = hn::PromoteTo(d, hn::LoadU(f, lanes.rest + i));
+    const auto others =
+        hn::And(hn::Lt(rest, hn::Set(d, std::numeric_limits<double>::infinity())), hn::Not(hn::Gt(rest, best[k])));
+    hn::StoreU(hn::IfThenZeroElse(hn::RebindMask(n, others), number), n, taken + i);
+  }
+}
+
+void weigh(const RankedLanes& lanes, std::size_t count, int k, std::int64_t* pair, double* weight,
+           std::int64_t* taken) {
+  withCount<kMostNearViews - 1>(
+      k, [&](auto views) { weighOf<decltype(views)::value>(lanes, count, pair, weight, taken); });
 }
 
 void chords(const Vec3& from, const double* x, const double* y, const double* z, std::size_t count, double* squared) {
@@ -191,6 +330,7 @@ HWY_AFTER_NAMESPACE();
 namespace srf {
 HWY_EXPORT(nearest);
 HWY_EXPORT(place);
+HWY_EXPORT(weigh);
 HWY_EXPORT(chords);
 HWY_EXPORT(angles);
 
@@ -198,9 +338,55 @@ void nearestViews(const NearViews& views, const NearLanes& hits, std::size_t cou
                   float* bound, std::int32_t* views_nearest, float* rest) {
   HWY_DYNAMIC_DISPATCH(nearest)(views, hits, count, stride, wanted, bound, views_nearest, rest);
 }
-void placeViews(const PlacedView* views, const std::int32_t* view, double least_foreshortening, double border,
-                const HitLanes& hits, std::size_t count, const ViewLanes& out) {
-  HWY_DYNAMIC_DISPATCH(place)(views, view, least_foreshortening, border, hits, count, out);
+std::int32_t WholeTexels::add(const Coverage& coverage) {
+  const auto first = static_cast<std::int32_t>(tiles_.size());
+  const int across = (coverage.width() + kTile - 1) / kTile, down = (coverage.height() + kTile - 1) / kTile;
+  for (int y = 0; y < down; ++y)
+    for (int x = 0; x < across; ++x) {
+      const std::array<std::uint16_t, kTile> rows = coverage.wholeRows(x, y);
+      const auto all = [&](std::uint16_t bits) {
+        return std::all_of(rows.begin(), rows.end(), [&](auto row) { return row == bits; });
+      };
+      if (all(0) || all(0xffff)) {
+        tiles_.push_back(rows[0] ? kAll : kNone);
+        continue;
+      }
+      tiles_.push_back(static_cast<std::int32_t>(words_.size() / kTileWords));
+      for (int row = 0; row < kTile; row += 2) words_.push_back(rows[row] | std::uint32_t{rows[row + 1]} << 16);
+    }
+  return first;
+}
+
+bool WholeTexels::at(const PlacedView& view, double x, double y) const {
+  if (!(x >= 0 && y >= 0 && x < view.across - 1 && y < view.down - 1)) return false;
+  const auto column = static_cast<unsigned>(x), row = static_cast<unsigned>(y);
+  const auto tile = static_cast<std::size_t>(view.first_tile + row / kTile * view.tiles_x + column / kTile);
+  const std::uint32_t word = words_[static_cast<std::size_t>(tiles_[tile]) * kTileWords + row % kTile / 2];
+  return word >> (row % 2 * kTile + column % kTile) & 1;
+}
+
+PlacedView::PlacedView(const Camera<AcquisitionSpace>& camera)
+    : center(camera.center().raw()),
+      forward(camera.forward().raw()),
+      rotation(camera.pose.rotation().raw()),
+      fl_x(camera.lens.fl_x),
+      skew(camera.lens.skew),
+      cx(camera.lens.cx),
+      fl_y(camera.lens.fl_y),
+      cy(camera.lens.cy),
+      width(camera.lens.width),
+      height(camera.lens.height),
+      orthographic(camera.lens.isOrthographic()),
+      bends(bendsLines(camera.lens)) {}
+
+void placeViews(const PlacedView* views, const WholeTexels& whole, const std::int32_t* view,
+                double least_foreshortening, double border, const HitLanes& hits, std::size_t count,
+                const ViewLanes& out) {
+  HWY_DYNAMIC_DISPATCH(place)(views, whole, view, least_foreshortening, border, hits, count, out);
+}
+void weighViews(const RankedLanes& lanes, std::size_t count, int k, std::int64_t* pair, double* weight,
+                std::int64_t* taken) {
+  HWY_DYNAMIC_DISPATCH(weigh)(lanes, count, k, pair, weight, taken);
 }
 void squaredChords(const Vec3& d, const double* x, const double* y, const double* z, std::size_t count,
                    double* squared) {

@@ -2,10 +2,14 @@
 // whole vectors: kernels read and write up to kVectorLanes elements beyond the count, rounded up.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include "base/camera.h"
+#include "field/coverage.h"
+#include "field/store_geometry.h"
 #include "render/vector_lanes.h"
 
 namespace srf {
@@ -26,8 +30,8 @@ struct NearViews {
 inline constexpr int kMostNearViews = 9;  ///< that nearestViews finds
 /// bound[s * stride + i] <= viewPenalty of view s from hit i, all of it usable; infinite where it does not see the hit.
 /// Off by some 1e-5 of the penalty's radians (a thousandth of them at 60 degrees, a fifth at 180), always downwards.
-/// nearest[j * stride + i], j < wanted <= kMostNearViews: the numbers of the views of least bound, nearest first, -1:
-/// no more; rest[i]: the least bound of the others.
+/// nearest[j * stride + i], j < wanted <= kMostNearViews: the numbers of the views of least bound, rising, before them
+/// -1 where there are fewer; rest[i]: the least bound of the others.
 void nearestViews(const NearViews& views, const NearLanes& hits, std::size_t count, std::size_t stride, int wanted,
                   float* bound, std::int32_t* nearest, float* rest);
 
@@ -49,35 +53,85 @@ inline bool bendsLines(const Intrinsics& lens) {
 struct HitLanes {
   const double *px, *py, *pz, *vx, *vy, *vz, *nx, *ny, *nz;
   const double* eye_distance;
-  const double* weight;  ///< of p's points together; negated where a view may see only some of them
+  const double* weight;         ///< of p's points together; negated where a view may see only some of them
+  const std::uint32_t* by_all;  ///< bit b of word w of hit i, at by_all[w * stride + i]: view 32 w + b sees all of them
+  std::size_t stride;
 };
-/// How a view lies to each of them.
+/// What is known of a view at a hit.
+enum ViewState : std::int32_t {
+  kViewUnusable,  ///< no direction or no pixel there, or beyond the picture's border
+  kViewUsable,    ///< and all is known of it
+  kViewAsked,     ///< how far it counts must be asked: it may see only some points, or lies near the picture's border
+  kViewMixed      ///< the same; or its four texels are not all covered
+};
+/// How views lie to hits.
 struct ViewLanes {
   double* angle;           ///< between v and the view's direction at p, radians
-  double* penalty;         ///< viewPenalty of a view whose picture covers all of p; kPenaltyCap where it is unusable
+  double* penalty;         ///< viewPenalty: kPenaltyCap where unusable; where it must be asked, that of a view that
+                           ///< shows all of p
   double* foreshortening;  ///< sqrt(n . direction), kept above 0
   double *pixel_x, *pixel_y;
-  /// 0: no direction or no pixel there, or beyond the picture's border; 1: usable; 2: how far must be asked, near the
-  /// border or where weight is negative, and the penalty is that of a view that sees all of p.
-  double* usable;
-  double* border;                               ///< pixels to the picture's border, below 0 outside
-  double *floor_x, *floor_y, *part_x, *part_y;  ///< TexelPlace
+  double* border;       ///< pixels to the picture's border, below 0 outside
+  std::int32_t* state;  ///< ViewState
+  // Where the four texels are all covered:
+  std::int32_t *x, *y;  ///< the first of them in the stored rectangle
+  float* tap;           ///< four a hit: what each counts
 };
-/// Where a pixel lies among the texels of the stored rectangle: the first of its 2 x 2, and the way to the next ones.
-struct TexelPlace {
-  double floor_x, floor_y, part_x, part_y;
-};
-/// A view, and the pixel at which its stored rectangle begins.
+/// A view as it is placed.
 struct PlacedView {
-  Camera<AcquisitionSpace> camera;
-  Vec2 crop;
-  bool bends;  ///< bendsLines: of its pixels nothing is told, and `usable` is 2 wherever it has a direction
+  Vec3 center, forward;
+  Mat3 rotation;  ///< columns: the camera's axes
+  double fl_x, skew, cx, fl_y, cy;
+  double width, height;           ///< pixels of the picture
+  double crop_x = 0, crop_y = 0;  ///< where its stored rectangle begins
+  double across = 0, down = 0;    ///< texels of that
+  double tiles_x = 0;             ///< tiles beside one another
+  double first_tile = 0;          ///< in WholeTexels
+  bool orthographic;
+  bool bends;  ///< bendsLines: of its pixels nothing is told, and it is kViewMixed wherever it has a direction
+
+  explicit PlacedView(const Camera<AcquisitionSpace>& camera);
 };
-/// How view `view[i]` lies to hit i; where view[i] is negative, nothing is written. Hits side by side mostly have the
-/// same views: these are placed together. `border`: pixels over which a view fades towards its picture's border. The
-/// same operations in every instruction set; the angle is within 1e-15 of atan2's, the rest within two roundings of the
-/// scalar forms in view_selection.cpp.
-void placeViews(const PlacedView* views, const std::int32_t* view, double least_foreshortening, double border,
-                const HitLanes& hits, std::size_t count, const ViewLanes& out);
+/// Which texels of views' stored rectangles are wholly covered, as are their neighbours to the right, below and beyond.
+class WholeTexels {
+ public:
+  static constexpr std::size_t kTileWords = kTile * kTile / 32;
+  /// Appends the tiles of a view, row by row; returns the number of the first.
+  std::int32_t add(const Coverage& coverage);
+  /// Of each tile: which kTileWords words are its own.
+  const std::int32_t* tiles() const { return tiles_.data(); }
+  const std::uint32_t* words() const { return words_.data(); }  ///< bit 16 (y % 2) + x of word y / 2
+  /// Whether it is so of texel (x, y) of a view, which may lie outside.
+  bool at(const PlacedView& view, double x, double y) const;
+
+ private:
+  static constexpr std::int32_t kNone = 0, kAll = 1;
+  std::vector<std::int32_t> tiles_{kNone};  // the first is of no view
+  std::vector<std::uint32_t> words_ = [] {
+    std::vector<std::uint32_t> words(2 * kTileWords, 0);
+    std::fill(words.begin() + kTileWords, words.end(), ~0u);
+    return words;
+  }();
+};
+/// How view `view[i]` lies to hit i; a negative one is unusable. `border`: pixels over which a view fades towards its
+/// picture's border. The same operations in every instruction set; the angle is within 1e-15 of atan2's, the rest
+/// within two roundings of the scalar forms in view_selection.cpp.
+void placeViews(const PlacedView* views, const WholeTexels& whole, const std::int32_t* view,
+                double least_foreshortening, double border, const HitLanes& hits, std::size_t count,
+                const ViewLanes& out);
+
+/// Pairs of hits and views: rank j < ranks of hit i at j * stride + i, those of a hit by rising view. Penalties at
+/// kPenaltyCap are of none.
+struct RankedLanes {
+  const double *penalty, *foreshortening;
+  const float* rest;  ///< of each hit: no other view's penalty is less; infinite: there is none
+  std::size_t ranks, stride;
+};
+/// The weights of M12, as lumigraphWeights has them, times foreshortening and with sum 1, of the k pairs of least
+/// penalty among more than k ranks, k < kMostNearViews: in their order, `pair[r * stride + i]` and its weight, r <
+/// taken[i]. taken[i] is 0 where other views may count too, and where no weight is above 0. The same bits in every
+/// instruction set.
+void weighViews(const RankedLanes& lanes, std::size_t count, int k, std::int64_t* pair, double* weight,
+                std::int64_t* taken);
 
 }  // namespace srf

@@ -17,6 +17,10 @@ constexpr double kBorderPixels = 4;  // over which a view fades towards the bord
 // reference figures in the mean, but -0.29, -0.29 and -0.44 dB at worst). A grazing view stays usable.
 constexpr double kLeastForeshortening = 0.05;
 
+/// Where a pixel lies among the texels of the stored rectangle: the first of its 2 x 2, and the way to the next ones.
+struct TexelPlace {
+  double floor_x, floor_y, part_x, part_y;
+};
 /// As bilinearFetch has it.
 TexelPlace texelPlace(const StoreGeometry& geometry, const Vec2& pixel) {
   const auto split = [](double at, double& floor) {
@@ -31,70 +35,62 @@ TexelPlace texelPlace(const StoreGeometry& geometry, const Vec2& pixel) {
   return place;
 }
 
-bool wholeAt(const Coverage& coverage, const TexelPlace& place) {
-  return place.floor_x >= 0 && place.floor_y >= 0 && place.floor_x < coverage.width() - 1 &&
-         place.floor_y < coverage.height() - 1 &&
-         coverage.whole(static_cast<int>(place.floor_x), static_cast<int>(place.floor_y));
-}
-
 /// bilinearFetch where all four texels are covered.
-void wholeFetch(const TexelPlace& place, Fetch& fetch) {
+void putWhole(const TexelPlace& place, std::size_t i, const ViewLanes& to) {
   const double x = place.part_x, y = place.part_y;
-  fetch.x = static_cast<int>(place.floor_x), fetch.y = static_cast<int>(place.floor_y);
-  fetch.tap[0] = static_cast<float>((1 - x) * (1 - y));
-  fetch.tap[1] = static_cast<float>(x * (1 - y));
-  fetch.tap[2] = static_cast<float>((1 - x) * y);
-  fetch.tap[3] = static_cast<float>(x * y);
-  fetch.covered = 1;
+  to.x[i] = static_cast<int>(place.floor_x), to.y[i] = static_cast<int>(place.floor_y);
+  to.tap[4 * i] = static_cast<float>((1 - x) * (1 - y));
+  to.tap[4 * i + 1] = static_cast<float>(x * (1 - y));
+  to.tap[4 * i + 2] = static_cast<float>((1 - x) * y);
+  to.tap[4 * i + 3] = static_cast<float>(x * y);
 }
 
 constexpr std::uint32_t kWhole = 0xffffffffu;  // in place of a fetch whose four texels are all covered
+constexpr std::size_t kAtOnce = ViewSelection::Scratch::kAtOnce;
+constexpr std::size_t kMore = 4;  // views looked at together where the nearest do not suffice
+static_assert(kAtOnce == paddedLanes(kAtOnce) && kMore <= kVectorLanes);
 
-HitLanes hitLanes(const std::array<std::vector<double>, 11>& of) {
+template <std::size_t kCount>
+HitLanes hitLanes(const std::array<std::array<double, kCount>, 11>& of, const std::vector<std::uint32_t>& by_all) {
   const auto lane = [&of](std::size_t k) { return of[k].data(); };
-  return {lane(0), lane(1), lane(2), lane(3), lane(4), lane(5), lane(6), lane(7), lane(8), lane(9), lane(10)};
+  return {lane(0), lane(1), lane(2), lane(3),  lane(4),       lane(5), lane(6),
+          lane(7), lane(8), lane(9), lane(10), by_all.data(), kCount};
 }
 
 /// Those of the pairs from `first` on.
 ViewLanes viewLanes(ViewSelection::Scratch& s, std::size_t first) {
   const auto lane = [&s, first](std::size_t k) { return s.view_lanes[k].data() + first; };
-  return {lane(0), lane(1), lane(2), lane(3), lane(4), lane(5), lane(6), lane(7), lane(8), lane(9), lane(10)};
+  const auto texel = [&s, first](std::size_t k) { return s.texels[k].data() + first; };
+  return {lane(0), lane(1), lane(2), lane(3), lane(4), lane(5), texel(0), texel(1), texel(2), s.tap.data() + 4 * first};
 }
 
-/// Room for so many pairs, padded.
+/// Room for so many pairs, and for what kernels write beyond them.
 void holdPairs(std::size_t count, ViewSelection::Scratch& s) {
-  count = paddedLanes(count);
-  for (auto& lane : s.view_lanes)
-    if (lane.size() < count) lane.resize(count);
-  if (s.view.size() < count) s.view.resize(count);
-  if (s.fetch.size() < count) s.fetch.resize(count);
+  count = paddedLanes(count) + kVectorLanes;
+  if (s.view.size() >= count) return;
+  for (auto& lane : s.view_lanes) lane.resize(count);
+  for (auto& lane : s.texels) lane.resize(count);
+  s.tap.resize(4 * count);
+  s.view.resize(count);
+  s.fetch.resize(count);
 }
 
 double borderOf(const Intrinsics& lens, const Vec2& pixel) {
   return std::min({pixel.x, pixel.y, lens.width - pixel.x, lens.height - pixel.y});
 }
 
-/// Where p lies in a view whose lens bends lines; false: nowhere in its picture.
-bool placeBent(const SourceView& view, const Point<AcquisitionSpace>& p, std::size_t i, const ViewLanes& to) {
-  const auto projection = view.camera.project(p);
-  if (!projection) return false;
-  const Vec2& pixel = projection->pixel;
-  const TexelPlace place = texelPlace(view.geometry, pixel);
-  to.pixel_x[i] = pixel.x, to.pixel_y[i] = pixel.y;
-  to.floor_x[i] = place.floor_x, to.floor_y[i] = place.floor_y;
-  to.part_x[i] = place.part_x, to.part_y[i] = place.part_y;
-  to.border[i] = borderOf(view.camera.lens, pixel);
-  return to.border[i] > 0;
-}
-
 }  // namespace
 
 ViewSelection::ViewSelection(std::vector<SourceView> views, const VisibilityBits& visible, int k)
     : views_(std::move(views)), visible_(visible), k_(k) {
-  for (const SourceView& view : views_)
-    placed_.push_back({view.camera,
-                       {static_cast<double>(view.geometry.crop_x), static_cast<double>(view.geometry.crop_y)},
-                       bendsLines(view.camera.lens)});
+  for (const SourceView& view : views_) {
+    PlacedView& placed = placed_.emplace_back(view.camera);
+    if (!view.coverage) continue;
+    placed.crop_x = view.geometry.crop_x, placed.crop_y = view.geometry.crop_y;
+    placed.across = view.coverage->width(), placed.down = view.coverage->height();
+    placed.tiles_x = (view.coverage->width() + kTile - 1) / kTile;
+    placed.first_tile = whole_.add(*view.coverage);
+  }
 }
 
 double ViewSelection::seenShare(const ViewQuery& query, std::uint32_t view) const {
@@ -104,65 +100,66 @@ double ViewSelection::seenShare(const ViewQuery& query, std::uint32_t view) cons
   return std::min(share, 1.0);
 }
 
-void ViewSelection::lookAt(std::span<const ViewQuery> queries, const HitLanes& from, const std::uint32_t* hit_of,
-                           std::size_t first, std::size_t count, Scratch& s) const {
-  const ViewLanes to = viewLanes(s, first);
-  const std::int32_t* const of = s.view.data() + first;
-  const std::size_t words = visible_.wordsPerPoint();
-  placeViews(placed_.data(), of, kLeastForeshortening, kBorderPixels, from, count, to);
-  for (std::size_t i = 0; i < count; ++i) {
-    if (of[i] < 0) {
-      to.penalty[i] = kPenaltyCap;
-      continue;
+void ViewSelection::ask(const ViewQuery& query, const HitLanes& from, std::size_t i, std::size_t pair,
+                        Scratch& s) const {
+  const ViewLanes to = viewLanes(s, 0);
+  const auto view = static_cast<std::uint32_t>(s.view[pair]);
+  const SourceView& source = views_[view];
+  bool whole = to.state[pair] == kViewAsked;
+  if (placed_[view].bends) {
+    const auto projection = source.camera.project(query.p);
+    const double border = projection ? borderOf(source.camera.lens, projection->pixel) : 0;
+    if (!(border > 0)) {
+      to.penalty[pair] = kPenaltyCap;
+      return;
     }
-    const auto view = static_cast<std::uint32_t>(of[i]);
-    const SourceView& source = views_[view];
-    if (placed_[view].bends && !placeBent(source, queries[hit_of[i]].p, i, to)) to.usable[i] = 0;
-    const double usable = to.usable[i];
-    if (usable == 0) {
-      to.penalty[i] = kPenaltyCap;
-      continue;
-    }
-    double share = 1;
-    if (usable != 1) {
-      const std::size_t h = hit_of[i];
-      const bool all = s.by_all[h * words + view / 64] >> view % 64 & 1;
-      share = all ? std::fabs(from.weight[i]) : seenShare(queries[h], view);
-      if (to.border[i] < kBorderPixels) share *= smoothstep(0, kBorderPixels, to.border[i]);
-    }
-    s.fetch[first + i] = kWhole;
-    if (!wholeAt(*source.coverage, {to.floor_x[i], to.floor_y[i], to.part_x[i], to.part_y[i]})) {
-      s.fetch[first + i] = static_cast<std::uint32_t>(s.fetches.size());
-      s.fetches.push_back(bilinearFetch(source, {to.pixel_x[i], to.pixel_y[i]}));
-      // Where a matte covers p a little, its coverage is the answer.
-      if (!source.matte) share *= s.fetches.back().covered;
-    }
-    if (share == 1) continue;
-    const double penalty = to.penalty[i] / share;
-    to.penalty[i] = penalty < kPenaltyCap ? penalty : kPenaltyCap;
+    to.border[pair] = border;
+    to.pixel_x[pair] = projection->pixel.x, to.pixel_y[pair] = projection->pixel.y;
+    const TexelPlace place = texelPlace(source.geometry, projection->pixel);
+    whole = whole_.at(placed_[view], place.floor_x, place.floor_y);
+    if (whole) putWhole(place, pair, to);
   }
+  double share = 1;
+  if (placed_[view].bends || from.weight[i] < 0 || to.border[pair] < kBorderPixels) {
+    const bool all = from.by_all[view / 32 * from.stride + i] >> view % 32 & 1;
+    share = all ? std::fabs(from.weight[i]) : seenShare(query, view);
+    if (to.border[pair] < kBorderPixels) share *= smoothstep(0, kBorderPixels, to.border[pair]);
+  } else {
+    to.penalty[pair] /= from.weight[i];
+  }
+  if (!whole) {
+    s.fetch[pair] = static_cast<std::uint32_t>(s.fetches.size());
+    s.fetches.push_back(bilinearFetch(source, {to.pixel_x[pair], to.pixel_y[pair]}));
+    // Where a matte covers p a little, its coverage is the answer.
+    if (!source.matte) share *= s.fetches.back().covered;
+  }
+  const double penalty = share == 1 ? to.penalty[pair] : to.penalty[pair] / share;
+  to.penalty[pair] = penalty < kPenaltyCap ? penalty : kPenaltyCap;
 }
 
-void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s,
-                           Chosen& chosen) const {
-  const std::size_t hits = queries.size(), words = visible_.wordsPerPoint(), stride = paddedLanes(hits);
-  chosen.views.clear();
-  chosen.first.assign(1, 0);
-  chosen.result.clear();
-  if (hits == 0) return;
+void ViewSelection::lookAt(const ViewQuery* query, std::size_t step, const HitLanes& from, std::size_t first,
+                           std::size_t count, Scratch& s) const {
+  const ViewLanes to = viewLanes(s, first);
+  placeViews(placed_.data(), whole_, s.view.data() + first, kLeastForeshortening, kBorderPixels, from, count, to);
+  std::fill_n(s.fetch.begin() + static_cast<std::ptrdiff_t>(first), count, kWhole);
+  for (std::size_t i = 0; i < count; ++i)
+    if (to.state[i] >= kViewAsked) ask(query[i * step], from, i, first + i, s);
+}
 
-  // Hits side by side, and which views see one of a hit's points: only those are candidates.
-  s.seen.assign((hits + 2) * words, 0);
-  s.by_all.resize(hits * words);
-  s.seen_lanes.resize(2 * words * stride);
-  for (auto& lane : s.hit_lanes)
-    if (lane.size() < stride) lane.resize(stride);
-  for (auto& lane : s.near) lane.resize(stride);
-  std::uint64_t *some = &s.seen[hits * words], *may = some + words;
+void ViewSelection::readHits(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed,
+                             Scratch& s) const {
+  const std::size_t hits = queries.size(), words = visible_.wordsPerPoint();
+  s.seen.resize(2 * words * kAtOnce);
+  s.by_all.resize(2 * words * kAtOnce);
+  s.words.assign(2 * words, 0);
+  std::uint64_t *const some = s.words.data(), *const may = some + words;
   for (std::size_t v = 0; v < views_.size(); ++v) may[v / 64] |= std::uint64_t{allowed[v] != 0} << (v % 64);
-  const Vec3 origin = queries[0].p.raw();
+  const auto put = [](std::uint64_t word, std::uint32_t* low) {
+    low[0] = static_cast<std::uint32_t>(word), low[kAtOnce] = static_cast<std::uint32_t>(word >> 32);
+  };
   for (std::size_t h = 0; h < hits; ++h) {
     const ViewQuery& query = queries[h];
+    // Views that see one of the hit's points: only those are candidates.
     std::uint64_t in_part = 0;
     for (std::size_t w = 0; w < words; ++w) {
       std::uint64_t seen = 0, by_all = ~std::uint64_t{0};
@@ -170,139 +167,146 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
         const std::uint64_t row = visible_.row(point)[w];
         seen |= row, by_all &= row;
       }
-      s.seen[h * words + w] = seen &= may[w];
-      s.by_all[h * words + w] = by_all;
-      in_part |= seen & ~by_all;
-      s.seen_lanes[2 * w * stride + h] = static_cast<std::uint32_t>(seen);
-      s.seen_lanes[(2 * w + 1) * stride + h] = static_cast<std::uint32_t>(seen >> 32);
+      seen &= may[w];
       some[w] |= seen;
+      in_part |= seen & ~by_all;
+      put(seen, &s.seen[2 * w * kAtOnce + h]);
+      put(by_all, &s.by_all[2 * w * kAtOnce + h]);
     }
     double weight = 0;
     for (const float of_point : query.point_weights) weight += of_point;
     weight = in_part ? -std::min(weight, 1.0) : std::min(weight, 1.0);
     const Vec3 &p = query.p.raw(), &v = query.view.raw(), &n = query.normal.raw();
-    const double place[] = {p.x, p.y, p.z, v.x, v.y, v.z, n.x, n.y, n.z, query.eye_distance, weight};
-    for (std::size_t k = 0; k < s.hit_lanes.size(); ++k) s.hit_lanes[k][h] = place[k];
-    const double inverse_eye = query.eye_distance > 0 ? 1 / query.eye_distance : 0;
-    const double near[] = {p.x - origin.x, p.y - origin.y, p.z - origin.z, v.x, v.y, v.z, inverse_eye};
-    for (std::size_t k = 0; k < s.near.size(); ++k) s.near[k][h] = static_cast<float>(near[k]);
+    const double lanes[] = {p.x, p.y, p.z, v.x, v.y, v.z, n.x, n.y, n.z, query.eye_distance, weight};
+    for (std::size_t k = 0; k < s.hit.size(); ++k) s.hit[k][h] = lanes[k];
   }
-  const auto each = [words](const std::uint64_t* bits, const auto& act) {
-    for (std::size_t w = 0; w < words; ++w)
-      for (std::uint64_t rest = bits[w]; rest; rest &= rest - 1)
-        act(static_cast<std::uint32_t>(64 * w + std::countr_zero(rest)));
-  };
+  const Vec3 origin = queries[0].p.raw();
+  for (std::size_t k = 0; k < 6; ++k) {
+    const double from = k < 3 ? origin[static_cast<int>(k)] : 0;
+    for (std::size_t h = 0; h < hits; ++h) s.near[k][h] = static_cast<float>(s.hit[k][h] - from);
+  }
+  for (std::size_t h = 0; h < hits; ++h) s.near[6][h] = static_cast<float>(s.hit[9][h] > 0 ? 1 / s.hit[9][h] : 0);
+
   s.views.clear();
   s.slot.resize(views_.size());
   for (auto& axis : s.centers) axis.clear();
-  each(some, [&](std::uint32_t view) {
-    s.slot[view] = static_cast<std::uint32_t>(s.views.size());
-    s.views.push_back(view);
-    const Camera<AcquisitionSpace>& camera = views_[view].camera;
-    const Vec3 center = camera.center().raw() - origin;
-    // Of an orthographic view the bound is 0.
-    for (int k = 0; k < 3; ++k)
-      s.centers[k].push_back(camera.lens.isOrthographic() ? std::numeric_limits<float>::quiet_NaN()
+  for (std::size_t w = 0; w < words; ++w)
+    for (std::uint64_t rest = some[w]; rest; rest &= rest - 1) {
+      const auto view = static_cast<std::uint32_t>(64 * w + std::countr_zero(rest));
+      s.slot[view] = static_cast<std::uint32_t>(s.views.size());
+      s.views.push_back(view);
+      const Vec3 center = placed_[view].center - origin;
+      // Of an orthographic view the bound is 0.
+      for (int k = 0; k < 3; ++k)
+        s.centers[k].push_back(placed_[view].orthographic ? std::numeric_limits<float>::quiet_NaN()
                                                           : static_cast<float>(center[k]));
-  });
+    }
+}
 
-  // The k + 1 of least bound first: visibility and coverage only add to the penalty.
-  const std::size_t wanted = k_ < kMostNearViews ? static_cast<std::size_t>(k_) + 1 : 0;
-  holdPairs(wanted * stride, s);
-  s.fetches.clear();
-  s.hit_of.clear();
-  s.more_views.clear();
-  constexpr float kTaken = std::numeric_limits<float>::infinity();
-  if (wanted > 0) {
-    s.bounds.resize(s.views.size() * stride);
-    s.rest.resize(stride);
-    const auto& n = s.near;
-    nearestViews({s.centers[0].data(), s.centers[1].data(), s.centers[2].data(), s.views.data(), s.views.size()},
-                 {n[0].data(), n[1].data(), n[2].data(), n[3].data(), n[4].data(), n[5].data(), n[6].data(),
-                  s.seen_lanes.data()},
-                 hits, stride, static_cast<int>(wanted), s.bounds.data(), s.view.data(), s.rest.data());
-    for (std::size_t h = s.each_hit.size(); h < hits; ++h) s.each_hit.push_back(static_cast<std::uint32_t>(h));
-    for (std::size_t j = 0; j < wanted; ++j)
-      lookAt(queries, hitLanes(s.hit_lanes), s.each_hit.data(), j * stride, hits, s);
-  }
-
-  // Then all whose bound does not lie beyond the (k + 1)-th penalty found: no other can be among the k + 1 nearest or
-  // tie with them.
-  const std::size_t first_more = wanted * stride;
+void ViewSelection::rankAll(const ViewQuery& query, std::size_t h, Scratch& s) const {
+  constexpr float kLookedAt = std::numeric_limits<float>::infinity();
+  const std::size_t ranks = nearViews(), words = 2 * visible_.wordsPerPoint();
   const double* const penalties = viewLanes(s, 0).penalty;
-  s.more.resize(hits);
-  for (std::size_t h = 0; h < hits; ++h) {
-    const auto begin = static_cast<std::uint32_t>(s.hit_of.size());
-    const auto pair = [&](std::uint32_t view) {
-      s.hit_of.push_back(static_cast<std::uint32_t>(h));
-      s.more_views.push_back(static_cast<std::int32_t>(view));
-    };
-    if (wanted == 0) {
-      each(&s.seen[h * words], pair);
-    } else {
-      double worst = 0;
-      for (std::size_t i = h; i < first_more; i += stride) worst = std::max(worst, penalties[i]);
-      if (s.rest[h] != kTaken && !(s.rest[h] > worst)) {
-        for (std::size_t i = h; i < first_more; i += stride)
-          if (s.view[i] >= 0) s.bounds[s.slot[s.view[i]] * stride + h] = kTaken;
-        each(&s.seen[h * words], [&](std::uint32_t view) {
-          const float bound = s.bounds[s.slot[view] * stride + h];
-          if (bound <= worst && bound < kTaken) pair(view);
-        });
-      }
-    }
-    s.more[h] = {begin, static_cast<std::uint32_t>(s.hit_of.size())};
+  auto& order = s.ranked;
+  order.clear();
+  const auto rank = [&](std::size_t pair) {
+    if (!(penalties[pair] < kPenaltyCap)) return;
+    order.push_back({penalties[pair], static_cast<std::uint32_t>(s.view[pair]), static_cast<std::uint32_t>(pair)});
+    for (std::size_t j = order.size() - 1; j > 0 && order[j] < order[j - 1]; --j) std::swap(order[j], order[j - 1]);
+  };
+  for (std::size_t pair = h; pair < ranks * kAtOnce; pair += kAtOnce) {
+    if (s.view[pair] < 0) continue;
+    s.bounds[s.slot[s.view[pair]] * kAtOnce + h] = kLookedAt;
+    rank(pair);
   }
-  const std::size_t more = s.hit_of.size();
-  holdPairs(first_more + more, s);
-  std::copy(s.more_views.begin(), s.more_views.end(), s.view.begin() + static_cast<std::ptrdiff_t>(first_more));
-  for (std::size_t k = 0; k < s.more_lanes.size(); ++k) {
-    auto& lane = s.more_lanes[k];
-    if (lane.size() < paddedLanes(more)) lane.resize(paddedLanes(more));
-    for (std::size_t i = 0; i < more; ++i) lane[i] = s.hit_lanes[k][s.hit_of[i]];
-  }
-  lookAt(queries, hitLanes(s.more_lanes), s.hit_of.data(), first_more, more, s);
 
-  const ViewLanes all = viewLanes(s, 0);
-  chosen.views.reserve(hits * k_);
-  chosen.first.reserve(hits + 1);
-  chosen.result.reserve(hits);
-  for (std::size_t h = 0; h < hits; ++h) {
-    auto& order = s.ranked;
-    order.clear();
-    const auto rank = [&](std::size_t i) {
-      if (!(all.penalty[i] < kPenaltyCap)) return;
-      order.push_back({all.penalty[i], static_cast<std::uint32_t>(s.view[i]), static_cast<std::uint32_t>(i)});
-      for (std::size_t j = order.size() - 1; j > 0 && order[j] < order[j - 1]; --j) std::swap(order[j], order[j - 1]);
-    };
-    for (std::size_t i = h; i < first_more; i += stride) rank(i);
-    for (std::size_t i = s.more[h][0]; i < s.more[h][1]; ++i) rank(first_more + i);
-    // lumigraphWeights of what is in order already.
-    const std::size_t first = chosen.views.size(), nearest = std::min<std::size_t>(order.size(), k_);
-    const double t = order.size() > nearest ? std::max(order[nearest].penalty, kLeastPenalty) : kPenaltyCap;
-    double sum = 0;
-    const auto take = [&](std::uint32_t i, double weight) {
-      weight *= all.foreshortening[i];
-      sum += weight;
-      ChosenView& view = chosen.views.emplace_back();
-      view.view = static_cast<std::uint32_t>(s.view[i]), view.weight = weight;
-      view.angle = all.angle[i], view.penalty = all.penalty[i];
-      view.foreshortening = all.foreshortening[i];
-      if (s.fetch[i] == kWhole)
-        wholeFetch({all.floor_x[i], all.floor_y[i], all.part_x[i], all.part_y[i]}, view.fetch);
-      else
-        view.fetch = s.fetches[s.fetch[i]];
-    };
-    for (std::size_t i = 0; i < nearest; ++i) {
-      const double weight = 1 / std::max(order[i].penalty, kLeastPenalty) - 1 / t;
-      if (!(weight > 0)) break;
-      take(order[i].pair, weight);
+  for (std::size_t k = 0; k < s.again.size(); ++k) s.again[k].fill(s.hit[k][h]);
+  s.again_by_all.resize(words * kVectorLanes);
+  for (std::size_t w = 0; w < words; ++w)
+    std::fill_n(&s.again_by_all[w * kVectorLanes], kVectorLanes, s.by_all[w * kAtOnce + h]);
+  const HitLanes from = hitLanes(s.again, s.again_by_all);
+  // The nearest first, while one may lie no further than the (k + 1)-th found: visibility and coverage only add to the
+  // penalty.
+  for (std::size_t next = ranks * kAtOnce;;) {
+    const double worst = order.size() > static_cast<std::size_t>(k_) ? order[k_].penalty : kPenaltyCap;
+    std::pair<float, std::size_t> nearest[kMore];
+    std::size_t count = 0;
+    for (std::size_t v = 0; v < s.views.size(); ++v) {
+      const float bound = s.bounds[v * kAtOnce + h];
+      if (!(bound <= worst) || (count == kMore && !(bound < nearest[kMore - 1].first))) continue;
+      std::size_t at = count < kMore ? count++ : kMore - 1;
+      for (; at > 0 && bound < nearest[at - 1].first; --at) nearest[at] = nearest[at - 1];
+      nearest[at] = {bound, v};
     }
-    if (chosen.views.size() == first)
-      for (const Ranked& tied : order)
-        if (tied.penalty <= t) take(tied.pair, 1);
-    for (std::size_t i = first; i < chosen.views.size(); ++i) chosen.views[i].weight /= sum;
+    if (count == 0) break;
+    for (std::size_t i = 0; i < count; ++i) {
+      s.view[next + i] = static_cast<std::int32_t>(s.views[nearest[i].second]);
+      s.bounds[nearest[i].second * kAtOnce + h] = kLookedAt;
+    }
+    lookAt(&query, 0, from, next, count, s);
+    for (std::size_t i = 0; i < count; ++i) rank(next + i);
+    next += count;
+  }
+}
+
+void ViewSelection::choose(std::size_t pair, double weight, const Scratch& s, Chosen& chosen) const {
+  const float* const tap = &s.tap[4 * pair];
+  chosen.views.push_back({static_cast<std::uint32_t>(s.view[pair]),
+                          weight,
+                          s.view_lanes[0][pair],
+                          s.view_lanes[1][pair],
+                          s.view_lanes[2][pair],
+                          {s.texels[1][pair], s.texels[2][pair], {tap[0], tap[1], tap[2], tap[3]}, 1}});
+  if (s.fetch[pair] != kWhole) chosen.views.back().fetch = s.fetches[s.fetch[pair]];
+}
+
+void ViewSelection::selectSome(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s,
+                               Chosen& chosen) const {
+  const std::size_t hits = queries.size(), ranks = nearViews();
+  readHits(queries, allowed, s);
+  s.bounds.resize(s.views.size() * kAtOnce);
+  s.fetches.clear();
+  holdPairs(ranks * kAtOnce + s.views.size(), s);
+  const auto& n = s.near;
+  nearestViews(
+      {s.centers[0].data(), s.centers[1].data(), s.centers[2].data(), s.views.data(), s.views.size()},
+      {n[0].data(), n[1].data(), n[2].data(), n[3].data(), n[4].data(), n[5].data(), n[6].data(), s.seen.data()}, hits,
+      kAtOnce, static_cast<int>(ranks), s.bounds.data(), s.view.data(), s.rest.data());
+  for (std::size_t j = 0; j < ranks; ++j) lookAt(queries.data(), 1, hitLanes(s.hit, s.by_all), j * kAtOnce, hits, s);
+  const ViewLanes all = viewLanes(s, 0);
+  const bool enough = ranks > static_cast<std::size_t>(k_);
+  if (enough)
+    weighViews({all.penalty, all.foreshortening, s.rest.data(), ranks, kAtOnce}, hits, k_, s.chosen_pair.data(),
+               s.weight.data(), s.taken.data());
+
+  for (std::size_t h = 0; h < hits; ++h) {
     Result result = Result::seen;
+    const std::size_t first = chosen.views.size();
+    if (enough && s.taken[h] > 0) {
+      for (std::size_t r = 0; r < static_cast<std::size_t>(s.taken[h]); ++r)
+        choose(static_cast<std::size_t>(s.chosen_pair[r * kAtOnce + h]), s.weight[r * kAtOnce + h], s, chosen);
+    } else {
+      rankAll(queries[h], h, s);
+      // lumigraphWeights of what is in order already.
+      const auto& order = s.ranked;
+      const std::size_t nearest = std::min<std::size_t>(order.size(), k_);
+      const double t = order.size() > nearest ? std::max(order[nearest].penalty, kLeastPenalty) : kPenaltyCap;
+      double sum = 0;
+      const auto take = [&](std::uint32_t pair, double weight) {
+        weight *= s.view_lanes[2][pair];
+        sum += weight;
+        choose(pair, weight, s, chosen);
+      };
+      for (std::size_t i = 0; i < nearest; ++i) {
+        const double weight = 1 / std::max(order[i].penalty, kLeastPenalty) - 1 / t;
+        if (!(weight > 0)) break;
+        take(order[i].pair, weight);
+      }
+      if (chosen.views.size() == first)
+        for (const Ranked& tied : order)
+          if (tied.penalty <= t) take(tied.pair, 1);
+      for (std::size_t i = first; i < chosen.views.size(); ++i) chosen.views[i].weight /= sum;
+    }
     if (chosen.views.size() == first) {
       // Deformation shows what no photograph saw: the nearest picture that covers p stands in, and is counted.
       ChosenView instead;
@@ -312,6 +316,20 @@ void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const s
     chosen.result.push_back(result);
     chosen.first.push_back(static_cast<std::uint32_t>(chosen.views.size()));
   }
+}
+
+void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s,
+                           Chosen& chosen) const {
+  chosen.views.clear();
+  chosen.first.assign(1, 0);
+  chosen.result.clear();
+  chosen.views.reserve(queries.size() * k_);
+  chosen.first.reserve(queries.size() + 1);
+  chosen.result.reserve(queries.size());
+  s.chosen_pair.resize(static_cast<std::size_t>(k_) * kAtOnce);
+  s.weight.resize(static_cast<std::size_t>(k_) * kAtOnce);
+  for (std::size_t begin = 0; begin < queries.size(); begin += kAtOnce)
+    selectSome(queries.subspan(begin, std::min(kAtOnce, queries.size() - begin)), allowed, s, chosen);
 }
 
 bool ViewSelection::standIn(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& s,

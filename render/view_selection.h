@@ -1,6 +1,7 @@
 // Which photographs a hit is made from, and where in them it lies (M12).
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <limits>
 #include <span>
@@ -50,25 +51,33 @@ class ViewSelection {
       return a.penalty != b.penalty ? a.penalty < b.penalty : a.view < b.view;
     }
   };
-  /// Memory that select() uses; one for each thread. A pair is a hit and a view that is looked at for it. First come
-  /// those of the nearest views, rank by rank: of rank j and hit h at j * stride + h; then, hit by hit, more of them.
+  /// Memory that select() uses; one for each thread. Hits are looked at some at a time. A pair is a hit and a view that
+  /// is looked at for it: first come those of the nearest views, rank by rank, of rank j and hit h at j * kAtOnce + h;
+  /// then more of them for the hit at hand.
   struct Scratch {
-    std::vector<std::uint64_t> seen, by_all;         ///< of each hit: views that see one of its points, or all of them
-    std::array<std::vector<double>, 11> hit_lanes;   ///< HitLanes of all hits
-    std::array<std::vector<double>, 11> more_lanes;  ///< HitLanes of the pairs after the nearest
-    std::array<std::vector<float>, 7> near;          ///< NearLanes of all hits
-    std::vector<std::uint32_t> seen_lanes;           ///< the same views, by word and hit
-    std::vector<std::uint32_t> views, slot;          ///< that see some hit; where each view is in `views`
-    std::array<std::vector<float>, 3> centers;       ///< of those views
-    std::vector<float> bounds, rest;                 ///< nearestViews
-    std::vector<std::uint32_t> each_hit, hit_of;     ///< 0, 1, ..; of the pairs after the nearest
-    std::vector<std::int32_t> more_views;            ///< of those pairs
-    std::vector<std::array<std::uint32_t, 2>> more;  ///< of each hit: its pairs after the nearest
-    std::vector<std::int32_t> view;                  ///< of each pair; -1: none
-    std::array<std::vector<double>, 11> view_lanes;  ///< ViewLanes of each pair
-    std::vector<std::uint32_t> fetch;                ///< of each pair: into `fetches`
-    std::vector<Fetch> fetches;                      ///< those whose four texels are not all covered
-    std::vector<Ranked> ranked;                      ///< of one hit
+    static constexpr std::size_t kAtOnce = 64;
+    template <std::size_t kCount>
+    using Lanes = std::array<std::array<double, kCount>, 11>;
+    Lanes<kAtOnce> hit{};                              ///< HitLanes
+    std::array<std::array<float, kAtOnce>, 7> near{};  ///< NearLanes
+    std::vector<std::uint32_t> seen, by_all;           ///< views that see one of its points, or all, by word and hit
+    std::vector<std::uint64_t> words;                  ///< views that see some hit; then those that are allowed
+    Lanes<kVectorLanes> again{};                       ///< the hit at hand, once for each of its pairs
+    std::vector<std::uint32_t> again_by_all;
+    std::vector<std::uint32_t> views, slot;     ///< that see some hit; where each view is in `views`
+    std::array<std::vector<float>, 3> centers;  ///< of those views
+    std::vector<float> bounds;                  ///< nearestViews
+    std::array<float, kAtOnce> rest{};
+    std::vector<std::int32_t> view;                   ///< of each pair; -1: none
+    std::array<std::vector<double>, 6> view_lanes;    ///< ViewLanes of each pair
+    std::array<std::vector<std::int32_t>, 3> texels;  ///< likewise
+    std::vector<float> tap;
+    std::vector<std::uint32_t> fetch;       ///< of each pair: into `fetches`
+    std::vector<Fetch> fetches;             ///< those whose four texels are not all covered
+    std::vector<std::int64_t> chosen_pair;  ///< weighViews
+    std::vector<double> weight;
+    std::array<std::int64_t, kAtOnce> taken{};
+    std::vector<Ranked> ranked;  ///< of one hit
     std::vector<std::pair<double, std::uint32_t>> standing_in;
   };
   /// The views of each hit.
@@ -87,16 +96,29 @@ class ViewSelection {
   const std::vector<SourceView>& views() const { return views_; }
 
  private:
+  /// The same of at most Scratch::kAtOnce hits, whose views are appended.
+  void selectSome(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& scratch,
+                  Chosen& chosen) const;
+  /// Puts hits side by side, with the views that see some of them.
+  void readHits(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s) const;
   /// The weight of the hit's points that the view sees.
   double seenShare(const ViewQuery& query, std::uint32_t view) const;
-  /// Looks at `count` pairs from `first` on; the i-th is of hit hit_of[i], which `from` has in lane i.
-  void lookAt(std::span<const ViewQuery> queries, const HitLanes& from, const std::uint32_t* hit_of, std::size_t first,
-              std::size_t count, Scratch& s) const;
+  /// How many views of a hit are looked at first: one more than suffice where all of them show it well.
+  std::size_t nearViews() const { return static_cast<std::size_t>(std::min(k_ + 2, kMostNearViews)); }
+  /// Looks at `count` pairs from `first` on; the i-th is of the hit query[i * step], which `from` has in lane i.
+  void lookAt(const ViewQuery* query, std::size_t step, const HitLanes& from, std::size_t first, std::size_t count,
+              Scratch& s) const;
+  /// What is not known of pair `pair` of a hit that lies in lane i.
+  void ask(const ViewQuery& query, const HitLanes& from, std::size_t i, std::size_t pair, Scratch& s) const;
+  /// Ranks all views that may be among the k + 1 nearest of hit h, or tie with them.
+  void rankAll(const ViewQuery& query, std::size_t h, Scratch& s) const;
+  void choose(std::size_t pair, double weight, const Scratch& s, Chosen& chosen) const;
   /// The nearest picture by angle that covers p, where no view sees it.
   bool standIn(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& s, ChosenView& chosen) const;
 
   std::vector<SourceView> views_;
   std::vector<PlacedView> placed_;  ///< of each view
+  WholeTexels whole_;
   const VisibilityBits& visible_;
   int k_;
 };

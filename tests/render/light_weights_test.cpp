@@ -115,9 +115,8 @@ struct Stage {
     SharedLightVectors shared;
     shared.prepare(lighting);
     lighting.gather(0, {Point<AcquisitionSpace>(), Point<ObjectSpace>(), look, {}}, gather);
-    shared.want(gather.wanted, lighting);
+    shared.want(gather, lighting);
     shared.compute(lighting);
-    shared.resolve(gather);
     std::vector<float> scratch(3 * lightPad(lists[0].count()));
     const float* vector = gather.vector(gather.weights[0], lightPad(lists[0].count()), scratch.data());
     return {vector, vector + scratch.size()};
@@ -229,9 +228,8 @@ TEST(LightWeights, OfManyHitsAreThoseOfEach) {
   SharedLightVectors shared;
   shared.prepare(lighting);
   for (LightGather* gather : {&many, &each}) {
-    shared.want(gather->wanted, lighting);
+    shared.want(*gather, lighting);
     shared.compute(lighting);
-    shared.resolve(*gather);
   }
   const int pad = lightPad(100);
   std::vector<float> a(3 * pad), b(3 * pad);

@@ -274,11 +274,14 @@ TEST(ViewSelection, MatchesBruteForceOverAllViews) {
   Views field(80, random, 3);
   for (std::size_t p = 0; p < 3; ++p)
     for (auto& word : field.visible.words()) word &= random() | static_cast<std::uint64_t>(random()) << 32;
-  const ViewSelection selection(field.views, field.visible, 4);
+  const int counts[] = {4, 1, 8, 12};  // beyond kMostNearViews too
+  std::vector<ViewSelection> selections;
+  for (const int k : counts) selections.emplace_back(field.views, field.visible, k);
   const std::vector<std::uint8_t> allowed(80, 1);
   std::vector<ChosenView> chosen;
   std::uniform_real_distribution<double> uniform(-0.2, 0.2);
-  for (int trial = 0; trial < 3000; ++trial) {
+  for (int trial = 0; trial < 4000; ++trial) {
+    const int k = counts[trial % 4];
     const std::uint32_t points[] = {0, 1, 2};
     const float weights[] = {0.5f, 0.3f, 0.2f};
     ViewQuery query;
@@ -300,14 +303,14 @@ TEST(ViewSelection, MatchesBruteForceOverAllViews) {
                                    resolutionPenalty(distance(camera.center(), query.p), 2.5), usable),
                        i});
     }
-    auto want = bruteForce(all, 4);
+    auto want = bruteForce(all, k);
     double sum = 0;
     for (auto& [i, w] : want) {
       const double facing = dot(query.normal, field.views[i].camera.viewDirection(query.p));
       sum += w *= std::sqrt(std::max(0.05, facing));
     }
     for (auto& [i, w] : want) w /= sum;
-    ASSERT_EQ(select(selection, query, allowed, chosen), ViewSelection::Result::seen);
+    ASSERT_EQ(select(selections[trial % 4], query, allowed, chosen), ViewSelection::Result::seen);
     ASSERT_EQ(chosen.size(), want.size());
     for (const ChosenView& c : chosen) {
       ASSERT_TRUE(want.contains(c.view));
@@ -451,6 +454,77 @@ TEST(ViewSelection, WeightsAreContinuousAcrossTheBorderOfAPictureAndOfTheMask) {
   // A step is 0.01 pixels; a jump would be several tenths.
   test::recordHardCase(20, "across the borders of pictures and masks: largest step of a weight in 0.01 pixels", largest,
                        test::atMost(0.02));
+}
+
+// The kernel against the formula of lumigraphWeights, to the bit: with ties, with few usable views, with none.
+TEST(ViewSelection, WeightsOfManyHitsAreThoseOfEach) {
+  std::mt19937 random(12);
+  std::uniform_real_distribution<double> uniform(0.01, 1);
+  constexpr std::size_t kHits = 1000, kStride = paddedLanes(kHits);
+  for (int k = 1; k < kMostNearViews; ++k) {
+    const std::size_t ranks = k + 1 + k % 3;
+    std::vector<double> penalty(ranks * kStride, kPenaltyCap), foreshortening(ranks * kStride, 1), weight(k * kStride);
+    std::vector<float> rest(kStride, INFINITY);
+    std::vector<std::int64_t> pair(k * kStride), taken(kStride);
+    for (double& p : penalty)
+      p = random() % 5 == 0 ? kPenaltyCap : random() % 5 == 0 ? 0.1 * (1 + random() % 3) : uniform(random);
+    for (double& f : foreshortening) f = uniform(random);
+    for (float& r : rest) r = random() % 3 ? INFINITY : static_cast<float>(uniform(random));
+    weighViews({penalty.data(), foreshortening.data(), rest.data(), ranks, kStride}, kHits, k, pair.data(),
+               weight.data(), taken.data());
+    int left = 0;
+    for (std::size_t h = 0; h < kHits; ++h) {
+      std::vector<Penalised> all;
+      for (std::uint32_t j = 0; j < ranks; ++j) all.push_back({penalty[j * kStride + h], j});
+      std::erase_if(all, [](const Penalised& p) { return !(p.penalty < kPenaltyCap); });
+      std::sort(all.begin(), all.end());
+      const double t = all.size() > static_cast<std::size_t>(k) ? all[k].penalty : kPenaltyCap;
+      std::vector<std::pair<std::size_t, double>> want;
+      double sum = 0;
+      for (const Penalised& p : all) {
+        const double w = 1 / p.penalty - 1 / t;
+        if (!(w > 0) || want.size() == static_cast<std::size_t>(k)) break;
+        want.push_back({p.source * kStride + h, w * foreshortening[p.source * kStride + h]});
+        sum += want.back().second;
+      }
+      if (rest[h] <= t) want.clear();
+      left += want.empty();
+      ASSERT_EQ(taken[h], static_cast<std::int64_t>(want.size())) << "k " << k << ", hit " << h;
+      for (std::size_t r = 0; r < want.size(); ++r) {
+        ASSERT_EQ(pair[r * kStride + h], static_cast<std::int64_t>(want[r].first));
+        ASSERT_EQ(weight[r * kStride + h], want[r].second / sum);
+      }
+    }
+    EXPECT_GT(left, 0);
+    EXPECT_LT(left, static_cast<int>(kHits));
+  }
+}
+
+TEST(WholeTexels, AreThoseThatAreCoveredLikeTheirNeighbours) {
+  std::mt19937 random(13);
+  WholeTexels whole;
+  int found = 0;
+  for (const auto& [width, height] : {std::pair{64, 48}, std::pair{39, 50}, std::pair{16, 16}}) {
+    Image8 mask(width, height, 1, 255);
+    for (int hole = 0; hole < width / 8; ++hole) mask.at(random() % width, random() % height) = random() % 255;
+    for (int x = 0; x < width / 3; ++x)
+      for (int y = 0; y < height / 2; ++y) mask.at(x, y) = 0;
+    const Coverage coverage(mask);
+    Camera<AcquisitionSpace> camera;
+    camera.lens = pinholeFromFov(width, height, 30);
+    PlacedView view(camera);
+    view.across = width, view.down = height, view.tiles_x = (width + kTile - 1) / kTile;
+    view.first_tile = whole.add(coverage);
+    for (int y = -1; y <= height; ++y)
+      for (int x = -1; x <= width; ++x) {
+        const bool inside = x >= 0 && y >= 0 && x < width - 1 && y < height - 1;
+        const bool want =
+            inside && (mask.at(x, y) & mask.at(x + 1, y) & mask.at(x, y + 1) & mask.at(x + 1, y + 1)) == 255;
+        ASSERT_EQ(whole.at(view, x, y), want) << x << " " << y;
+        found += want;
+      }
+  }
+  EXPECT_GT(found, 1000);
 }
 
 TEST(BilinearFetch, LeavesOutTexelsWithoutCoverage) {
