@@ -64,9 +64,22 @@ void SampleHoldout::foretell(int lights) {
                              static_cast<std::uint32_t>(from)});
     }
     lumigraphWeights(candidates_, kViews, weights_);
+    const auto slanted = [&](const Weighted& w) {
+      const double root = std::sqrt(std::max(views_[w.source]->cosine, kLeastForeshortening));
+      return std::array{w.weight * root, w.weight * root * root * root};
+    };
+    std::array<double, 2> sum{};
     for (const Weighted& w : weights_)
-      sources_.push_back({to, static_cast<int>(w.source), static_cast<float>(w.weight)});
+      for (int way = 0; way < 2; ++way) sum[way] += slanted(w)[way];
+    for (const Weighted& w : weights_) {
+      const auto [once, thrice] = slanted(w);
+      sources_.push_back({to,
+                          static_cast<int>(w.source),
+                          static_cast<float>(w.weight),
+                          {static_cast<float>(once / sum[0]), static_cast<float>(thrice / sum[1])}});
+    }
   }
+  for (std::vector<float>& rows : slanted_) rows.assign(static_cast<std::size_t>(half_) * lights, 0.f);
   for (int k = 0; k < lights; ++k) {
     const std::size_t row = static_cast<std::size_t>(k) * width_;
     for (const Source& s : sources_)
@@ -74,6 +87,8 @@ void SampleHoldout::foretell(int lights) {
         const std::size_t to = row + half_ + kChannels * s.to + c, from = row + kChannels * s.from + c;
         value_[to] += s.weight * value_[from];
         residual_[to] += s.weight * residual_[from];
+        for (int way = 0; way < 2; ++way)
+          slanted_[way][static_cast<std::size_t>(k) * half_ + kChannels * s.to + c] += s.slanted[way] * residual_[from];
         model_[to] = model_[row + kChannels * s.to + c];
         weight_[to] = weight_[row + kChannels * s.to + c];
       }
@@ -238,6 +253,13 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
         guided += w * shown * shown;
       }
       cases.view.plain = plain, cases.view.in_light.lit = guided;
+      for (int way = 0; way < 2; ++way) {
+        const float* const foretold = &slanted_[way][static_cast<std::size_t>(i) * half_];
+        float slanted = 0;
+        for (int x = 0; x < half_; ++x)
+          slanted += weight[half_ + x] * srf::square(lights.lit[i] * at_view[x] + foretold[x] - value[x]);
+        error.view_slanted[way] += slanted;
+      }
     }
     for (int v = 0; v < static_cast<int>(views_.size()); ++v)
       if (const float w = views_[v]->cosine; w > 0)
