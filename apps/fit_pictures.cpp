@@ -29,6 +29,7 @@ const Picture kPictures[] = {
     {"gate", 1, [](const FittedPoint& p) { return std::array<float, 3>{p.gate}; }},
     {"indirect", 1, [](const FittedPoint& p) { return std::array<float, 3>{p.indirect}; }},
     {"indirect_shadow", 1, [](const FittedPoint& p) { return std::array<float, 3>{p.indirect_shadow}; }},
+    {"slant", 1, [](const FittedPoint& p) { return std::array<float, 3>{p.slant}; }},
     {"roughness", 1,
      [](const FittedPoint& p) { return std::array<float, 3>{metallicRoughness(p.reflectance).roughness}; }},
     {"metallic", 1,

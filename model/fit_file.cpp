@@ -1,4 +1,4 @@
-// *.srffit: "SRFFIT\0\0", u32 version, u32 bytes of the header, the header (JSON), then, little-endian: a record of 34
+// *.srffit: "SRFFIT\0\0", u32 version, u32 bytes of the header, the header (JSON), then, little-endian: a record of 36
 // bytes for each point, and the rows of the five tables of bits, lit_by_rays only where it differs from lit. The
 // manifest holds the hash of the file.
 #include <algorithm>
@@ -21,7 +21,7 @@ namespace srf {
 namespace {
 
 constexpr char kMagic[8] = {'S', 'R', 'F', 'F', 'I', 'T', 0, 0};
-constexpr std::uint32_t kVersion = 3;
+constexpr std::uint32_t kVersion = 4;
 constexpr std::size_t kPrefix = sizeof kMagic + 2 * sizeof(std::uint32_t);
 constexpr std::size_t kMostRoughnesses = 256;
 
@@ -31,9 +31,10 @@ struct Record {
   std::uint16_t tangent;                      ///< angle from anyPerpendicular(normal), 65536 to the half turn
   std::uint8_t roughness;                     ///< position in the header's list
   std::uint8_t gate, indirect;                ///< 0 .. 255
-  std::uint8_t indirect_shadow;
+  std::uint8_t indirect_shadow, slant;
+  std::uint8_t none;
 };
-static_assert(sizeof(Record) == 34);
+static_assert(sizeof(Record) == 36);
 
 // Cigolle et al. 2014: the sphere folded onto a square.
 std::array<std::int16_t, 2> octahedral(const std::array<float, 3>& n) {
@@ -84,6 +85,7 @@ Record pack(const FittedPoint& point, std::uint8_t roughness) {
   record.gate = byte(point.gate);
   record.indirect = byte(point.indirect);
   record.indirect_shadow = byte(point.indirect_shadow);
+  record.slant = byte(point.slant);
   return record;
 }
 
@@ -100,6 +102,7 @@ FittedPoint unpack(const Record& record, const std::vector<std::array<float, 2>>
   point.gate = static_cast<float>(record.gate) / 255;
   point.indirect = static_cast<float>(record.indirect) / 255;
   point.indirect_shadow = static_cast<float>(record.indirect_shadow) / 255;
+  point.slant = static_cast<float>(record.slant) / 255;
   return point;
 }
 

@@ -474,6 +474,10 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
         const double by_lights =
             all_lights(e.all.light.in_shadow) * smoothstep(0.2, 0.4, std::max(share(e.hidden), share(e.averted)));
         fitted.indirect_shadow = static_cast<float>(std::max(by_lights, neededForSum(e)));
+        const double by_root = std::sqrt(e.all.view.in_light.lit), by_cosine = std::sqrt(e.view_slanted[0]),
+                     by_square = std::sqrt(e.view_slanted[1]);
+        fitted.slant = static_cast<float>(
+            0.5 * (gateOf(by_cosine, by_root, 1) + gateOf(by_square, by_cosine, 1) * gateOf(by_square, by_root, 1)));
         // Under a captured light, where both return the photographs of a matt surface, open where it does not harm.
         const auto gate = [&](const HoldoutError::Case& of, double open) {
           return gateOf(std::sqrt(guidedError(of, fitted)), std::sqrt(of.plain), open);

@@ -21,6 +21,9 @@ struct FittedPoint {
   /// are (G2). For one that does not, 0: dark; 1: what photographs hold under lights that do not light it either, which
   /// is indirect light and translucency. Each by its own error with lights left out.
   float indirect = 0, indirect_shadow = 0;
+  /// How far a view that sees the point aslant counts less for the residual: 0 by the root of n.v as in plain
+  /// interpolation, 0.5 by n.v, 1 by its square; by the error with views left out.
+  float slant = 0.5f;
 };
 
 struct ReflectanceFit {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "base/numeric.h"
 
@@ -19,6 +20,16 @@ constexpr float kMuchBetter = 0.7f;      // of the squared error
 constexpr double kBesideError = 0.25;    // of plain's squared error, half way to the light that was left out
 constexpr float kBesideShare = 0.75f;    // of the weights that a captured light has close to it
 constexpr int kChannels = 4;             // of a view in a row: red, green, blue and none
+
+using View = float __attribute__((vector_size(kChannels * sizeof(float))));
+View viewAt(const std::vector<float>& row, std::size_t at) {
+  View view;
+  std::memcpy(&view, &row[at], sizeof view);
+  return view;
+}
+void put(const View& view, std::vector<float>& row, std::size_t at) {
+  std::memcpy(&row[at], &view, sizeof view);
+}
 
 }  // namespace
 
@@ -64,19 +75,35 @@ void SampleHoldout::foretell(int lights) {
                              static_cast<std::uint32_t>(from)});
     }
     lumigraphWeights(candidates_, kViews, weights_);
+    const auto slanted = [&](const Weighted& w) {
+      const double root = std::sqrt(std::max(views_[w.source]->cosine, kLeastForeshortening));
+      return std::array{w.weight * root, w.weight * root * root * root};
+    };
+    std::array<double, 2> sum{};
     for (const Weighted& w : weights_)
-      sources_.push_back({to, static_cast<int>(w.source), static_cast<float>(w.weight)});
+      for (int way = 0; way < 2; ++way) sum[way] += slanted(w)[way];
+    for (const Weighted& w : weights_) {
+      const auto [once, thrice] = slanted(w);
+      sources_.push_back({to,
+                          static_cast<int>(w.source),
+                          static_cast<float>(w.weight),
+                          {static_cast<float>(once / sum[0]), static_cast<float>(thrice / sum[1])}});
+    }
   }
+  for (std::vector<float>& rows : slanted_) rows.assign(static_cast<std::size_t>(half_) * lights, 0.f);
   for (int k = 0; k < lights; ++k) {
     const std::size_t row = static_cast<std::size_t>(k) * width_;
-    for (const Source& s : sources_)
-      for (int c = 0; c < kChannels; ++c) {
-        const std::size_t to = row + half_ + kChannels * s.to + c, from = row + kChannels * s.from + c;
-        value_[to] += s.weight * value_[from];
-        residual_[to] += s.weight * residual_[from];
-        model_[to] = model_[row + kChannels * s.to + c];
-        weight_[to] = weight_[row + kChannels * s.to + c];
-      }
+    for (const Source& s : sources_) {
+      const std::size_t at = row + kChannels * s.to, to = at + half_, from = row + kChannels * s.from;
+      const std::size_t slanted = static_cast<std::size_t>(k) * half_ + kChannels * s.to;
+      const View residual = viewAt(residual_, from);
+      put(viewAt(value_, to) + s.weight * viewAt(value_, from), value_, to);
+      put(viewAt(residual_, to) + s.weight * residual, residual_, to);
+      for (int way = 0; way < 2; ++way)
+        put(viewAt(slanted_[way], slanted) + s.slanted[way] * residual, slanted_[way], slanted);
+      put(viewAt(model_, at), model_, to);
+      put(viewAt(weight_, at), weight_, to);
+    }
   }
 }
 
@@ -230,14 +257,18 @@ HoldoutError SampleHoldout::operator()(const FitInput& input, const PointSamples
       if (sources_.empty()) continue;
       note(cases.both, sum(half_));
       // Under the captured light itself the photographs' own shadows show.
-      float plain = 0, guided = 0;
+      const float* const by_cosine = &slanted_[0][static_cast<std::size_t>(i) * half_];
+      const float* const by_square = &slanted_[1][static_cast<std::size_t>(i) * half_];
+      float plain = 0, guided = 0, slanted[2] = {};
       for (int x = 0; x < half_; ++x) {
-        const float w = weight[half_ + x], from_others = value[half_ + x] - value[x];
-        const float shown = lights.lit[i] * at_view[x] + residual[half_ + x] - value[x];
+        const float w = weight[half_ + x], from_others = value[half_ + x] - value[x], lit = lights.lit[i] * at_view[x];
         plain += w * from_others * from_others;
-        guided += w * shown * shown;
+        guided += w * srf::square(lit + residual[half_ + x] - value[x]);
+        slanted[0] += w * srf::square(lit + by_cosine[x] - value[x]);
+        slanted[1] += w * srf::square(lit + by_square[x] - value[x]);
       }
       cases.view.plain = plain, cases.view.in_light.lit = guided;
+      for (int way = 0; way < 2; ++way) error.view_slanted[way] += slanted[way];
     }
     for (int v = 0; v < static_cast<int>(views_.size()); ++v)
       if (const float w = views_[v]->cosine; w > 0)

@@ -4,6 +4,8 @@
 // of a hull that no surface is at, each view's photographs are explained well and disagree with those of the others.
 #pragma once
 
+#include <array>
+
 #include "field/lumigraph_weights.h"
 #include "model/point_samples.h"
 
@@ -41,6 +43,8 @@ struct HoldoutError {
   };
   Cases all;
   std::vector<std::pair<LightId, Cases>> by_light;
+  /// all.view.in_light.lit, were the weights of views to fall with n.v, or with its square, instead of its root.
+  std::array<double, 2> view_slanted{};
   double square = 0;  ///< of the samples
   /// Lights left out that do not light the point, and those of them that the residual of all lights foretells much
   /// better.
@@ -76,9 +80,11 @@ class SampleHoldout {
   // Of the lights of one list, a row for each: channels of its views; then the same as the other views foretell them.
   int half_ = 0, width_ = 0;
   std::vector<float> value_, model_, residual_, weight_;
+  std::array<std::vector<float>, 2> slanted_;  ///< the residual as other views foretell it, by Source::slanted
   struct Source {
     int to, from;  ///< views
     float weight;
+    std::array<float, 2> slanted;  ///< times the root of n.v, and its cube
   };
   std::vector<Source> sources_;
   std::vector<Penalised> candidates_;

@@ -117,9 +117,10 @@ class GuidedLighting {
                  const DeformedModel& occluders, std::span<const SourceView> views,
                  std::span<const std::uint32_t> list_of_view, const Options& options);
 
-  /// Turns the weights of a hit's views into guidance's, as far as the gate is open: they fall with n0 . v_i instead of
-  /// its root. The model knows how views differ, so that the length of a view's pixel on the surface, which the
-  /// difference from the model suffers from, counts for more than how near the view is.
+  /// Turns the weights of a hit's views into guidance's, as far as the gate is open: they fall with n0 . v_i or its
+  /// square instead of its root, as FittedPoint::slant says. Where the model knows how views differ, the length of a
+  /// view's pixel on the surface, which the difference from the model suffers from, counts for more than how near the
+  /// view is.
   void weigh(const SurfaceHit& hit, std::span<ChosenView> chosen) const;
   /// Blends the fit at the hits and casts their shadow rays.
   void prepare(std::span<const GuidedQuery> queries, GuidedBlock& block) const;

@@ -46,7 +46,7 @@ struct Stored {
       }
       const bool rough = random() % 2;
       point.reflectance.alpha_x = rough ? 0.5f : 0.1f, point.reflectance.alpha_y = rough ? 0.5f : 0.25f;
-      point.gate = uniform(), point.indirect = uniform(), point.indirect_shadow = uniform();
+      point.gate = uniform(), point.indirect = uniform(), point.indirect_shadow = uniform(), point.slant = uniform();
     }
     fit.lit = fit.lit_around = fit.worse = VisibilityBits(model.size(), 70);
     fit.seen_around = VisibilityBits(model.size(), 5);
@@ -88,6 +88,7 @@ void expectSame(const ReflectanceFit& found, const ReflectanceFit& fit) {
     EXPECT_NEAR(a.gate, b.gate, 0.5 / 255 + 1e-6);
     EXPECT_NEAR(a.indirect, b.indirect, 0.5 / 255 + 1e-6);
     EXPECT_NEAR(a.indirect_shadow, b.indirect_shadow, 0.5 / 255 + 1e-6);
+    EXPECT_NEAR(a.slant, b.slant, 0.5 / 255 + 1e-6);
   }
   EXPECT_EQ(found.lit.words(), fit.lit.words());
   EXPECT_EQ(found.lit_by_rays.words(), fit.lit_by_rays.words());

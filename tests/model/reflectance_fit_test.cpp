@@ -72,6 +72,29 @@ TEST(ReflectanceFit, NothingReflectsFarMoreThanArrives) {
   EXPECT_LT(brighter, 40);
 }
 
+// By the error with views left out: what photographs hold amiss the more, the more aslant they see the surface, is best
+// taken from those that face it; what comes and goes with the view, from the nearest.
+TEST(ReflectanceFit, SlantedViewsCountAsFarAsTheyForetellOthers) {
+  const auto slant = [](const std::function<double(double slanted, const Vec3& v)>& lacking) {
+    const test::TemporaryFolder folder;
+    test::FormulaFieldOptions options;
+    options.lights = 32, options.size = 32, options.subdivision = 3;
+    const test::FormulaField field =
+        test::makeSphereField(folder / "f.srf", options, [&](const Vec3& p, const Vec3& l, const Vec3& v) {
+          return std::max(0.0, dot(p, l)) * (0.3 + lacking(1 - dot(p, v), v)) * Vec3{1, 1, 1};
+        });
+    const auto fit = fitReflectance(field.folder, field.manifest, field.model, {}, Reporter::silent());
+    double sum = 0;
+    for (const FittedPoint& point : fit->points) sum += double{point.slant};
+    return sum / static_cast<double>(fit->points.size());
+  };
+  const double blurred =
+                   slant([](double slanted, const Vec3&v) { return slanted * 0.3 * std::sin(40 * v.x + 30 * v.y); }),
+               turning = slant([](double, const Vec3&v) { return 0.1 * v.x - 0.1 * v.y; });
+  EXPECT_GT(blurred, 0.8);
+  EXPECT_LT(turning, 0.3);
+}
+
 // A hull fills a bowl: through its lid each view sees another point of the bowl, which faces it. Of one light the model
 // tells a little more than the lights about it do; of all together it is wrong, where plain interpolation is right.
 TEST(ReflectanceFit, NothingGuidesWhereAHullIsNotTheObject) {

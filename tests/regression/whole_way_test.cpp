@@ -127,9 +127,9 @@ TEST_F(Capsule, HullFromItsMasksReachesThePlainFiguresAndHalfADecibelMoreInTheMe
 TEST_F(Capsule, GuidedInterpolationReachesItsFiguresAndTenDecibelsOverPlainOnTheTrueMesh) {
   SRF_REQUIRE_DATA(data, "capsule");
   const auto psnr = measured((data / "capture" / "model.ply").string(), ModelKind::mesh, FitOptions());
-  // A decibel less than the figures is aimed at, and reached but by the animation: 44.7 where 45 is asked.
+  // A decibel less than the figures is aimed at, and reached but by the animation: 44.96 where 45 is asked.
   for (const auto& [name, figure] : kGuidedFigures)
-    EXPECT_GT(psnr.at(name), figure - (name == std::string("g_anim") ? 1.3 : 1)) << name;
+    EXPECT_GT(psnr.at(name), figure - (name == std::string("g_anim") ? 1.1 : 1)) << name;
   EXPECT_GT(meanOverFigures(psnr), 10);
 }
 
