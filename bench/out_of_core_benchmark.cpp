@@ -24,6 +24,7 @@
 #include "base/parallel.h"
 #include "bench/timing.h"
 #include "render/frame_renderer.h"
+#include "render/view_kernels.h"
 #include "tests/support/formula_field.h"
 
 namespace srf {
@@ -326,6 +327,7 @@ Streamed stream(Bench& one, const fs::path& folder, const SrfManifest& manifest,
 /// What a field's stores hold.
 struct Contents {
   explicit Contents(const fs::path& folder) : manifest(readManifest(folder)) {
+    WholeTexels whole;
     for (const StoredView& view : manifest.views) {
       const ReflectanceStore store(folder / view.file);
       const StoreGeometry& g = store.geometry();
@@ -333,7 +335,9 @@ struct Contents {
         for (int x = 0; x < g.cropWidth(); ++x) texels += store.coverage().at(x, y) > 0;
       tiles += g.allTiles(), index += static_cast<double>(store.bytesInMemory()), block = g.blockBytes();
       bytes += static_cast<double>(store.bytesOnDisk());
+      whole.add(store.coverage());
     }
+    index += static_cast<double>(whole.bytes());
     halves = 6.0 * static_cast<double>(manifest.lights.size()) * texels;
   }
   SrfManifest manifest;

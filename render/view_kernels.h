@@ -101,6 +101,7 @@ class WholeTexels {
   /// Of each tile: which kTileWords words are its own.
   const std::int32_t* tiles() const { return tiles_.data(); }
   const std::uint32_t* words() const { return words_.data(); }  ///< bit 16 (y % 2) + x of word y / 2
+  std::size_t bytes() const { return sizeof tiles_[0] * tiles_.capacity() + sizeof words_[0] * words_.capacity(); }
   /// Whether it is so of texel (x, y) of a view, which may lie outside.
   bool at(const PlacedView& view, double x, double y) const;
 

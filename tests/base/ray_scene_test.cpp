@@ -183,10 +183,12 @@ TEST(RayScene, OcclusionCountsWhatLiesBetweenNearAndFar) {
     far.push_back(exact.distance * (rays.size() % 2 ? 0.99 : 1.01));
     expected.push_back(rays.size() % 2 == 0);
   }
-  std::vector<std::uint8_t> blocked(rays.size());
+  std::vector<std::uint8_t> blocked(rays.size()), side_by_side(rays.size());
   scene.occluded(rays, far, 0, blocked);
+  scene.occluded(rays, far, 0, side_by_side, true);  // though they are not: it is a matter of time alone
   for (std::size_t i = 0; i < rays.size(); ++i) {
     EXPECT_EQ(blocked[i] != 0, expected[i]) << "ray " << i;
+    EXPECT_EQ(side_by_side[i], blocked[i]) << "ray " << i;
     EXPECT_EQ(scene.occluded(rays[i], 0, far[i]), expected[i]);
   }
 }
