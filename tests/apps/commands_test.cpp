@@ -229,7 +229,7 @@ TEST(Info, ShowsWhatWasFittedAndModelExportsIt) {
   const Json fit = Json::parse(outcome.out)["fit"];
   EXPECT_GT(fit["held_out_error_plain"].get<double>(), fit["held_out_error_guided"].get<double>());
   EXPECT_GT(fit["gate_mean"].get<double>(), 0.5);
-  ASSERT_EQ(fit["pictures"].size(), 7u);
+  ASSERT_EQ(fit["pictures"].size(), 8u);
   for (const Json& name : fit["pictures"]) {
     const ImageF image = readImage(folder.path() / "maps" / name.get<std::string>(), Transfer::linear).pixels;
     EXPECT_EQ(image.width(), 64);
