@@ -161,7 +161,7 @@ void runPipeline(const PipelineOptions& options, Reporter& reporter) {
   });
 
   // The deformable model with its local parameterization.
-  Stamp model_stamp(capture_stamp + options.kind + options.fit);
+  Stamp model_stamp(capture_stamp + options.kind + options.fit + std::to_string(kFitVersion));
   model_stamp.addFile(options.shape);
   const bool has_model = fs::exists(field_folder) && !readManifest(field_folder).active_model.empty();
   journal.step("model", model_stamp.text(), has_model, [&] {

@@ -21,7 +21,6 @@ namespace srf {
 namespace {
 
 constexpr char kMagic[8] = {'S', 'R', 'F', 'F', 'I', 'T', 0, 0};
-constexpr std::uint32_t kVersion = 4;
 constexpr std::size_t kPrefix = sizeof kMagic + 2 * sizeof(std::uint32_t);
 constexpr std::size_t kMostRoughnesses = 256;
 
@@ -116,9 +115,9 @@ ReflectanceFit parseFit(const std::vector<std::byte>& bytes, const std::string& 
   std::uint32_t version, header_bytes;
   std::memcpy(&version, &bytes[sizeof kMagic], sizeof version);
   std::memcpy(&header_bytes, &bytes[sizeof kMagic + sizeof version], sizeof header_bytes);
-  if (version != kVersion)
+  if (version != kFitVersion)
     throw badInput(file, "has version " + std::to_string(version) + ", this program reads version " +
-                             std::to_string(kVersion) + "; make the model again with srf model");
+                             std::to_string(kFitVersion) + "; make the model again with srf model");
   if (header_bytes > bytes.size() - kPrefix) throw damaged("ends within its header");
   const JsonNode header = parseJson(std::string(reinterpret_cast<const char*>(&bytes[kPrefix]), header_bytes), file);
   const auto must_be = [&](const char* key, std::size_t expected) {
@@ -212,7 +211,7 @@ void storeFit(const std::filesystem::path& srf_folder, const ReflectanceFit& fit
   };
   const auto header_bytes = static_cast<std::uint32_t>(text.size());
   append(kMagic, sizeof kMagic);
-  append(&kVersion, sizeof kVersion);
+  append(&kFitVersion, sizeof kFitVersion);
   append(&header_bytes, sizeof header_bytes);
   append(text.data(), text.size());
   append(records.data(), records.size() * sizeof(Record));

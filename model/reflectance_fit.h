@@ -44,6 +44,8 @@ struct ReflectanceFit {
   double error_plain = 0, error_guided = 0;
 };
 
+inline constexpr std::uint32_t kFitVersion = 4;  ///< of the file, the only one that is read
+
 struct FitOptions {
   std::size_t memory_bytes = std::size_t{2} << 30;  ///< for the samples held at once
   int most_views = 24;                              ///< samples of a point come from at most this many views
