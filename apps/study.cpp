@@ -241,13 +241,12 @@ class Studying {
     options.memory_bytes = options_.memory_bytes;
     return options;
   }
+  fs::path fieldOf(const FieldVariant& variant) const { return folder_ / "fields" / variant.name; }
   /// Where the setting's field is one of the study's own and not there yet.
   void makeField(const SceneKeys& keys) const {
-    if (!keys.contains(kFieldKey)) return;
-    const fs::path field = pathOf(keys.at(kFieldKey));
     for (const FieldKnob& knob : field_knobs_)
       for (const FieldVariant& variant : knob.variants)
-        if (field.filename() == variant.name && field != pathOf(study_.exact.at(kFieldKey)) && !isSrfFolder(field)) {
+        if (const fs::path field = fieldOf(variant); keys.at(kFieldKey) == pathText(field) && !isSrfFolder(field)) {
           Reporter quiet(ProgressMode::none, LogLevel::error);
           makeVariant(study_.field, variant, field, options_.memory_bytes, quiet);
         }
@@ -360,9 +359,9 @@ class Studying {
     const auto front = study_.front();
     for (const FieldKnob& knob : field_knobs_)
       for (const FieldVariant& variant : knob.variants) {
-        const fs::path field = folder_ / "fields" / variant.name;
-        const auto uses = [&](const MeasuredSetting* m) { return m->keys.at(kFieldKey) == pathText(field); };
-        if (study_.complete && std::none_of(front.begin(), front.end(), uses)) fs::remove_all(field);
+        const std::string text = pathText(fieldOf(variant));
+        const auto uses = [&](const MeasuredSetting* m) { return m->keys.at(kFieldKey) == text; };
+        if (study_.complete && std::none_of(front.begin(), front.end(), uses)) fs::remove_all(fieldOf(variant));
       }
     for (const MeasuredSetting& m : study_.measured)
       if (m.keys != study_.exact && m.keys != study_.own && std::find(front.begin(), front.end(), &m) == front.end())
