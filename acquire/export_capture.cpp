@@ -48,22 +48,9 @@ Extrinsics extrinsicsOf(const Camera<AcquisitionSpace>& camera) {
   return {r, -(r * camera.center().raw())};
 }
 
-/// Puts a file under another name: a hard link where the disk allows one, else a copy.
-void place(const fs::path& from, const fs::path& to) {
-  std::error_code code;
-  if (fs::equivalent(from, to, code)) return;
-  fs::create_directories(to.parent_path(), code);
-  fs::remove(to, code);
-  fs::create_hard_link(from, to, code);
-  if (!code) return;
-  fs::copy_file(from, to, fs::copy_options::overwrite_existing, code);
-  if (code)
-    throw Error(ErrorKind::failed, "could not be copied to " + to.string() + ": " + code.message(), from.string());
-}
-
 /// Puts a mask there as the PNG file that its new name promises.
 void placeMask(const fs::path& from, const fs::path& to) {
-  if (from.extension() == ".png" || from.extension() == ".PNG") return place(from, to);
+  if (from.extension() == ".png" || from.extension() == ".PNG") return linkOrCopy(from, to);
   std::error_code code;
   fs::create_directories(to.parent_path(), code);
   writePng(to, readMask(from));
@@ -235,7 +222,7 @@ void exportColmap(const std::string& format, const Capture& capture, const fs::p
       images_bin.put(lens);
       images_bin.put(name);
       images_bin.put(std::uint64_t{0});  // key points
-      place(photo.file, folder / "images" / name);
+      linkOrCopy(photo.file, folder / "images" / name);
       if (!view.mask_file.empty()) placeMask(view.mask_file, folder / "masks" / (name + ".png"));
     }
   }
@@ -263,7 +250,7 @@ void exportMiddlebury(const Capture& capture, const fs::path& folder, Reporter& 
     const Intrinsics& l = view.camera.lens;
     const Extrinsics e = extrinsicsOf(view.camera);
     const std::string name = names.of(capture, view.photos[0].file);
-    place(view.photos[0].file, folder / name);
+    linkOrCopy(view.photos[0].file, folder / name);
     lines += name + " " + exact({l.fl_x, l.skew, l.cx - 0.5, 0, l.fl_y, l.cy - 0.5, 0, 0, 1}) + " ";
     for (const Vec3& row : e.r.row) lines += exact({row.x, row.y, row.z}) + " ";
     lines += exact({e.t.x, e.t.y, e.t.z}) + "\n";
@@ -289,7 +276,7 @@ void exportProjections(const Capture& capture, const fs::path& folder, Reporter&
     const Mat3 m = k * e.r;
     const Vec3 last = k * e.t;
     const std::string name = names.of(capture, view.photos[0].file);
-    place(view.photos[0].file, folder / name);
+    linkOrCopy(view.photos[0].file, folder / name);
     lines += name;
     for (int i = 0; i < 3; ++i) lines += " " + exact({m.row[i].x, m.row[i].y, m.row[i].z, last[i]});
     lines += "\n";
@@ -345,7 +332,7 @@ void exportMetashape(const Capture& capture, const fs::path& folder, Reporter& r
         if (value != 0) calibration.append_child(name).text() = exact(value).c_str();
     }
     const std::string name = names.of(capture, view.photos[0].file);
-    place(view.photos[0].file, folder / "images" / name);
+    linkOrCopy(view.photos[0].file, folder / "images" / name);
     auto camera = cameras.append_child("camera");
     camera.append_attribute("id") = static_cast<unsigned long long>(v);
     camera.append_attribute("sensor_id") = static_cast<unsigned long long>(id);
@@ -401,7 +388,7 @@ void exportRti(const Capture& capture, const fs::path& folder, Reporter& reporte
   for (const Photo& photo : view.photos) {
     const CaptureLight& light = capture.lights[photo.light->value];
     const std::string name = names.of(capture, photo.file);
-    place(photo.file, folder / name);
+    linkOrCopy(photo.file, folder / name);
     strengths.insert({light.strength.x, light.strength.y, light.strength.z});
     lights.push_back({name, toLpFrame(view.camera.pose.rotation().inverse() * light.direction), false});
   }
@@ -417,7 +404,7 @@ void writeDiligentFolder(const Capture& capture, const CaptureView& view, const 
   for (const Photo& photo : view.photos) {
     const CaptureLight& light = capture.lights[photo.light->value];
     const std::string name = names.of(capture, photo.file);
-    place(photo.file, folder / name);
+    linkOrCopy(photo.file, folder / name);
     const Vec3 d = toLpFrame(view.camera.pose.rotation().inverse() * light.direction);
     files += name + "\n";
     directions += exact({d.x, d.y, d.z}) + "\n";
@@ -533,7 +520,8 @@ void exportOpenIllumination(const Capture& capture, const fs::path& folder, Repo
       }
       std::string light = std::to_string(photo.light->value);
       if (light.size() < 3) light.insert(0, 3 - light.size(), '0');
-      place(photo.file, folder / "Lights" / light / "raw_undistorted" / (camera + photo.file.extension().string()));
+      linkOrCopy(photo.file,
+                 folder / "Lights" / light / "raw_undistorted" / (camera + photo.file.extension().string()));
     }
     if (taken.empty()) throw cannotHold(format, view, "it has no photograph under a light");
     if (!view.mask_file.empty()) placeMask(view.mask_file, folder / "output" / "obj_masks" / (camera + ".png"));

@@ -6,6 +6,7 @@
 
 #include "acquire/acquire_field.h"
 #include "acquire/visual_hull.h"
+#include "base/files.h"
 #include "base/parallel.h"
 #include "base/text.h"
 #include "field/srf_folder.h"
@@ -23,29 +24,13 @@ constexpr double kCodedTexel = 60e-9, kFittedSample = 150e-9;
 constexpr int kFewestCells = 16;
 constexpr std::size_t kFewestSurfels = 500;
 
-// The same file under another name where the disk allows it.
-void share(const fs::path& file, const fs::path& name) {
-  fs::create_directories(name.parent_path());
-  std::error_code code;
-  fs::create_hard_link(file, name, code);
-  if (code) fs::copy_file(file, name);
-}
-
 void shareViews(const fs::path& from, const SrfManifest& manifest, const fs::path& to) {
   for (const StoredView& view : manifest.views)
-    if (!view.file.empty()) share(from / view.file, to / view.file);
+    if (!view.file.empty()) linkOrCopy(from / view.file, to / view.file);
 }
 
 void shareFiles(const fs::path& from, const std::vector<StoredFile>& files, const fs::path& to) {
-  for (const StoredFile& file : files) share(from / file.file, to / file.file);
-}
-
-Image8 coverageOf(const ReflectanceStore& store) {
-  const Coverage& coverage = store.coverage();
-  Image8 out(coverage.width(), coverage.height(), 1);
-  for (int y = 0; y < out.height(); ++y)
-    for (int x = 0; x < out.width(); ++x) out.at(x, y) = coverage.at(x, y);
-  return out;
+  for (const StoredFile& file : files) linkOrCopy(from / file.file, to / file.file);
 }
 
 void recode(const fs::path& from, SrfManifest manifest, const fs::path& to, const StoreCoding& coding,
@@ -54,24 +39,11 @@ void recode(const fs::path& from, SrfManifest manifest, const fs::path& to, cons
   shareFiles(from, manifest.models, to);
   shareFiles(from, manifest.fits, to);
   Reporter::Stage stage(reporter, "recode views", manifest.views.size());
-  for (StoredView& view : manifest.views) {
-    if (!view.file.empty()) {
-      const ReflectanceStore store(from / view.file);
-      const StoreGeometry& geometry = store.geometry();
-      ReflectanceStoreWriter writer(to / view.file, geometry, coverageOf(store), coding);
-      parallelFor(static_cast<std::size_t>(geometry.tileCount()), 4, [&](std::size_t begin, std::size_t end) {
-        std::vector<std::uint16_t> block(geometry.blockHalves());
-        for (std::size_t i = begin; i < end; ++i) {
-          const TilePlace at = geometry.place(static_cast<std::uint32_t>(i));
-          if (!store.hasTile(at.x, at.y)) continue;
-          store.readTile(at.x, at.y, block);
-          writer.writeTile(at.x, at.y, block);
-        }
-      });
-      view.hash = writer.commit();
-    }
+  parallelFor(manifest.views.size(), 1, [&](std::size_t v, std::size_t) {
+    StoredView& view = manifest.views[v];
+    if (!view.file.empty()) view.hash = recodeStore(ReflectanceStore(from / view.file), to / view.file, coding);
     stage.advance();
-  }
+  });
   writeManifest(to, manifest);
 }
 
@@ -205,10 +177,16 @@ void makeVariant(const fs::path& srf_folder, const FieldVariant& variant, const 
   fs::remove_all(part);
   fs::create_directories(part);
   const SrfManifest manifest = readManifest(srf_folder);
-  if (variant.kind == FieldVariant::Kind::coding)
-    recode(srf_folder, manifest, part, variant.coding, reporter);
-  else
-    remodel(srf_folder, manifest, part, variant, memory_bytes, reporter);
+  try {
+    if (variant.kind == FieldVariant::Kind::coding)
+      recode(srf_folder, manifest, part, variant.coding, reporter);
+    else
+      remodel(srf_folder, manifest, part, variant, memory_bytes, reporter);
+  } catch (...) {
+    std::error_code code;
+    fs::remove_all(part, code);
+    throw;
+  }
   fs::rename(part, out);
 }
 

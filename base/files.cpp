@@ -134,6 +134,19 @@ void writeTextFile(const std::filesystem::path& file, std::string_view text) {
   writeBinaryFile(file, text.data(), text.size());
 }
 
+void linkOrCopy(const std::filesystem::path& from, const std::filesystem::path& to) {
+  namespace fs = std::filesystem;
+  std::error_code code;
+  if (fs::equivalent(from, to, code)) return;
+  fs::create_directories(to.parent_path(), code);
+  fs::remove(to, code);
+  fs::create_hard_link(from, to, code);
+  if (!code) return;
+  fs::copy_file(from, to, fs::copy_options::overwrite_existing, code);
+  if (code)
+    throw Error(ErrorKind::failed, "could not be copied to " + to.string() + ": " + code.message(), from.string());
+}
+
 std::uint64_t bytesInFolder(const std::filesystem::path& folder) {
   std::uint64_t bytes = 0;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(folder))

@@ -41,6 +41,9 @@ class PartialFile {
 
 void writeTextFile(const std::filesystem::path& file, std::string_view text);
 void writeBinaryFile(const std::filesystem::path& file, const void* data, std::size_t bytes);
+/// Puts a file under another name, in place of what is there: a hard link where the disk allows one, else a copy. Makes
+/// missing parent folders.
+void linkOrCopy(const std::filesystem::path& from, const std::filesystem::path& to);
 /// Of all files in the folder and below.
 std::uint64_t bytesInFolder(const std::filesystem::path& folder);
 /// 64-bit XXH3 of the bytes, as stored in manifests and headers.

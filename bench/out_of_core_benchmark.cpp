@@ -101,26 +101,6 @@ void makeField(const fs::path& folder, const Extent& extent, Compression compres
   });
 }
 
-/// Writes the view's store again. Returns its hash.
-std::uint64_t writeAgain(const fs::path& from, const fs::path& to, Compression compression) {
-  const ReflectanceStore store(from);
-  const StoreGeometry& g = store.geometry();
-  Image8 coverage(g.cropWidth(), g.cropHeight(), 1);
-  for (int y = 0; y < g.cropHeight(); ++y)
-    for (int x = 0; x < g.cropWidth(); ++x) coverage.at(x, y) = static_cast<std::uint8_t>(store.coverage().at(x, y));
-  StoreCoding coding;
-  coding.compression = compression;
-  ReflectanceStoreWriter writer(to, g, coverage, coding);
-  std::vector<std::uint16_t> block(g.blockHalves());
-  for (int y = 0; y < g.tiles_y; ++y)
-    for (int x = 0; x < g.tiles_x; ++x)
-      if (store.hasTile(x, y)) {
-        store.readTile(x, y, block);
-        writer.writeTile(x, y, block);
-      }
-  return writer.commit();
-}
-
 /// Every `step`-th view of a field, its blocks kept in another way.
 void makeAgain(const fs::path& folder, const fs::path& from, Compression compression, std::size_t step = 1) {
   makeApart(folder, [&] {
@@ -131,7 +111,7 @@ void makeAgain(const fs::path& folder, const fs::path& from, Compression compres
     fs::create_directories(folder / "views");
     parallelFor(kept.size(), 1, [&](std::size_t v, std::size_t) {
       StoredView& view = manifest.views[v];
-      view.hash = writeAgain(from / view.file, folder / view.file, compression);
+      view.hash = recodeStore(ReflectanceStore(from / view.file), folder / view.file, {compression});
     });
     writeManifest(folder, manifest);
   });
@@ -523,8 +503,8 @@ int main(int argc, char** argv) {
                   field.bytes / field.texels, field.bytes / field.texels * there / 1e9);
       const fs::path again = in("again.blk");
       const double taken = bench::milliseconds([&] {
-        writeAgain(in("halves.srf") / halves.manifest.views[0].file, again,
-                   as_pca ? Compression::pca : Compression::lossless);
+        recodeStore(ReflectanceStore(in("halves.srf") / halves.manifest.views[0].file), again,
+                    {as_pca ? Compression::pca : Compression::lossless});
       });
       fs::remove(again);
       const double texels = halves.texels / static_cast<double>(halves.manifest.views.size());

@@ -1,7 +1,5 @@
 #include "field/bilinear_fetch.h"
 
-#include <cmath>
-
 namespace srf {
 namespace {
 
@@ -23,15 +21,9 @@ Fetch bilinearFetch(const SourceView& view, const Vec2& pixel, int level) {
   }
   // Off the rectangle, also far off (before the conversion to int).
   if (!(u > -1 && v > -1 && u < covered.width() && v < covered.height())) return fetch;
-  // The rounding of a projection must not make one texel two.
-  const auto split = [](double at, int& cell) {
-    const double nearest = std::floor(at + 0.5);
-    const double snapped = std::fabs(at - nearest) < 1e-6 ? nearest : at;
-    const double floor = std::floor(snapped);
-    cell = static_cast<int>(floor);
-    return snapped - floor;
-  };
-  const double fx = split(u, fetch.x), fy = split(v, fetch.y);
+  const auto [x0, fx] = texelAndPart(u);
+  const auto [y0, fy] = texelAndPart(v);
+  fetch.x = static_cast<int>(x0), fetch.y = static_cast<int>(y0);
   const double bilinear[4] = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
   const int least = !view.black_background ? kLeastOther : view.matte ? kLeastMatte : kLeastBlack;
   double denominator = 0, alpha = 0;

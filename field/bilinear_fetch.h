@@ -1,6 +1,8 @@
 // A point of the surface in a photograph: the stored texels that show it, and what each counts.
 #pragma once
 
+#include <cmath>
+
 #include "base/camera.h"
 #include "field/coverage.h"
 #include "field/store_geometry.h"
@@ -25,6 +27,17 @@ struct Fetch {
   int level = 0;       ///< of the store
   double alpha = 1;    ///< of a matte view: the coverage of the 2 x 2 texels by their bilinear weights
 };
+/// A coordinate among texel centres: the texel at or below it, and the way on to the next one, 0 to 1. What lies within
+/// 1e-6 of a texel is on it, for the rounding of a projection must not make one texel two.
+struct TexelAndPart {
+  double texel, part;
+};
+inline TexelAndPart texelAndPart(double at) {
+  const double nearest = std::floor(at + 0.5);
+  const double snapped = std::fabs(at - nearest) < 1e-6 ? nearest : at;
+  const double texel = std::floor(snapped);
+  return {texel, snapped - texel};
+}
 /// `pixel`: of the photograph, whatever the level.
 Fetch bilinearFetch(const SourceView& view, const Vec2& pixel, int level = 0);
 

@@ -63,6 +63,13 @@ std::array<std::uint16_t, 16> Coverage::wholeRows(int tile_x, int tile_y) const 
   return whole;
 }
 
+Image8 Coverage::image() const {
+  Image8 out(width_, height_, 1);
+  for (int y = 0; y < height_; ++y)
+    for (int x = 0; x < width_; ++x) out.at(x, y) = at(x, y);
+  return out;
+}
+
 std::size_t Coverage::bytes() const {
   return tiles_.capacity() * sizeof tiles_[0] + mixed_.capacity() * sizeof(Mixed) + partial_.capacity();
 }

@@ -39,6 +39,8 @@ class Coverage {
   /// Of the 16 x 16 texels of a tile, row by row: bit x of a row where it and its neighbours to the right, below and
   /// beyond are all 255. Beyond the last tile there is nothing.
   std::array<std::uint16_t, 16> wholeRows(int tile_x, int tile_y) const;
+  /// What it was made of.
+  Image8 image() const;
   std::size_t bytes() const;
 
  private:

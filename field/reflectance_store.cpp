@@ -581,4 +581,17 @@ std::size_t ReflectanceStore::readTile(int tile_x, int tile_y, std::span<std::ui
   return at.bytes;
 }
 
+std::uint64_t recodeStore(const ReflectanceStore& store, const std::filesystem::path& file, const StoreCoding& coding) {
+  const StoreGeometry& geometry = store.geometry();
+  ReflectanceStoreWriter writer(file, geometry, store.coverage().image(), coding);
+  std::vector<std::uint16_t> block(geometry.blockHalves());
+  for (int y = 0; y < geometry.tiles_y; ++y)
+    for (int x = 0; x < geometry.tiles_x; ++x)
+      if (store.hasTile(x, y)) {
+        store.readTile(x, y, block);
+        writer.writeTile(x, y, block);
+      }
+  return writer.commit();
+}
+
 }  // namespace srf

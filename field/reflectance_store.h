@@ -118,4 +118,7 @@ class ReflectanceStore {
   std::unique_ptr<State> state_;
 };
 
+/// Writes the same photographs as another store, block after block. Returns the hash of its content.
+std::uint64_t recodeStore(const ReflectanceStore& store, const std::filesystem::path& file, const StoreCoding& coding);
+
 }  // namespace srf

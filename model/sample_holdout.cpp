@@ -80,8 +80,10 @@ void SampleHoldout::foretell(int lights) {
       return std::array{w.weight * root, w.weight * root * root * root};
     };
     std::array<double, 2> sum{};
-    for (const Weighted& w : weights_)
-      for (int way = 0; way < 2; ++way) sum[way] += slanted(w)[way];
+    for (const Weighted& w : weights_) {
+      const auto [once, thrice] = slanted(w);
+      sum[0] += once, sum[1] += thrice;
+    }
     for (const Weighted& w : weights_) {
       const auto [once, thrice] = slanted(w);
       sources_.push_back({to,

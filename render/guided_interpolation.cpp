@@ -383,7 +383,7 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, co
       visible += static_cast<float>(weight) * block.disagree[i] * block.lit[i];
   }
   const float nearness = nearest < kNotNear * kNotNear ? 1 - smoothstepf(kNear, kNotNear, std::sqrt(nearest)) : 0;
-  // Below the horizon only what is interpolated as it is could count.
+  // Below the horizon only the difference beside a captured light, or of unlit lights, could count.
   if (!(cosine > 0) && gate >= 1 && !(hit.indirect_shadow > 0) && !(nearness > 0)) return 0;
   const float shown = options_.shadows == Shadows::captured ? visible + nearness * (lit - visible) : visible;
   if (options_.model_alone) return gate * shown;

@@ -2,15 +2,12 @@
 // whole vectors: kernels read and write up to kVectorLanes elements beyond the count, rounded up.
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <vector>
 
 #include "base/camera.h"
-#include "field/coverage.h"
-#include "field/store_geometry.h"
 #include "render/vector_lanes.h"
+#include "render/whole_texels.h"
 
 namespace srf {
 
@@ -91,28 +88,6 @@ struct PlacedView {
   bool bends;  ///< bendsLines: of its pixels nothing is told, and it is kViewMixed wherever it has a direction
 
   explicit PlacedView(const Camera<AcquisitionSpace>& camera);
-};
-/// Which texels of views' stored rectangles are wholly covered, as are their neighbours to the right, below and beyond.
-class WholeTexels {
- public:
-  static constexpr std::size_t kTileWords = kTile * kTile / 32;
-  /// Appends the tiles of a view, row by row; returns the number of the first.
-  std::int32_t add(const Coverage& coverage);
-  /// Of each tile: which kTileWords words are its own.
-  const std::int32_t* tiles() const { return tiles_.data(); }
-  const std::uint32_t* words() const { return words_.data(); }  ///< bit 16 (y % 2) + x of word y / 2
-  std::size_t bytes() const { return sizeof tiles_[0] * tiles_.capacity() + sizeof words_[0] * words_.capacity(); }
-  /// Whether it is so of texel (x, y) of a view, which may lie outside.
-  bool at(const PlacedView& view, double x, double y) const;
-
- private:
-  static constexpr std::int32_t kNone = 0, kAll = 1;
-  std::vector<std::int32_t> tiles_{kNone};  // the first is of no view
-  std::vector<std::uint32_t> words_ = [] {
-    std::vector<std::uint32_t> words(2 * kTileWords, 0);
-    std::fill(words.begin() + kTileWords, words.end(), ~0u);
-    return words;
-  }();
 };
 /// How view `view[i]` lies to hit i; a negative one is unusable. `border`: pixels over which a view fades towards its
 /// picture's border. The same operations in every instruction set; the angle is within 1e-15 of atan2's, the rest

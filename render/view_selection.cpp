@@ -17,28 +17,10 @@ constexpr double kBorderPixels = 4;  // over which a view fades towards the bord
 // reference figures in the mean, but -0.29, -0.29 and -0.44 dB at worst). A grazing view stays usable.
 constexpr double kLeastForeshortening = 0.05;
 
-/// Where a pixel lies among the texels of the stored rectangle: the first of its 2 x 2, and the way to the next ones.
-struct TexelPlace {
-  double floor_x, floor_y, part_x, part_y;
-};
-/// As bilinearFetch has it.
-TexelPlace texelPlace(const StoreGeometry& geometry, const Vec2& pixel) {
-  const auto split = [](double at, double& floor) {
-    const double nearest = std::floor(at + 0.5);
-    const double snapped = std::fabs(at - nearest) < 1e-6 ? nearest : at;
-    floor = std::floor(snapped);
-    return snapped - floor;
-  };
-  TexelPlace place;
-  place.part_x = split(pixel.x - 0.5 - geometry.crop_x, place.floor_x);
-  place.part_y = split(pixel.y - 0.5 - geometry.crop_y, place.floor_y);
-  return place;
-}
-
 /// bilinearFetch where all four texels are covered.
-void putWhole(const TexelPlace& place, std::size_t i, const ViewLanes& to) {
-  const double x = place.part_x, y = place.part_y;
-  to.x[i] = static_cast<int>(place.floor_x), to.y[i] = static_cast<int>(place.floor_y);
+void putWhole(const TexelAndPart& column, const TexelAndPart& row, std::size_t i, const ViewLanes& to) {
+  const double x = column.part, y = row.part;
+  to.x[i] = static_cast<int>(column.texel), to.y[i] = static_cast<int>(row.texel);
   to.tap[4 * i] = static_cast<float>((1 - x) * (1 - y));
   to.tap[4 * i + 1] = static_cast<float>(x * (1 - y));
   to.tap[4 * i + 2] = static_cast<float>((1 - x) * y);
@@ -115,9 +97,10 @@ void ViewSelection::ask(const ViewQuery& query, const HitLanes& from, std::size_
     }
     to.border[pair] = border;
     to.pixel_x[pair] = projection->pixel.x, to.pixel_y[pair] = projection->pixel.y;
-    const TexelPlace place = texelPlace(source.geometry, projection->pixel);
-    whole = whole_.at(placed_[view], place.floor_x, place.floor_y);
-    if (whole) putWhole(place, pair, to);
+    const TexelAndPart x = texelAndPart(projection->pixel.x - 0.5 - source.geometry.crop_x),
+                       y = texelAndPart(projection->pixel.y - 0.5 - source.geometry.crop_y);
+    whole = whole_.at(placed_[view], x.texel, y.texel);
+    if (whole) putWhole(x, y, pair, to);
   }
   double share = 1;
   if (placed_[view].bends || from.weight[i] < 0 || to.border[pair] < kBorderPixels) {
