@@ -26,8 +26,30 @@ constexpr int kPasses = 2;              // of a setting over the frames
 constexpr int kLeastPicture = 96;       // pixels a side that a study's pictures keep
 constexpr double kOneAtATime = 18;      // settings of about the exact one's cost, besides fields; a planning figure
 constexpr double kMakingAField = 0.05;  // of the budget, at most
-// Of the budget: where one knob at a time should end, and where the search does, for times at full size to follow.
-constexpr double kKnobsEnd = 0.5, kSearchEnd = 0.8;
+// Of the budget: where one knob at a time should end, and where the search does, for the front's promises to follow.
+constexpr double kKnobsEnd = 0.45, kSearchEnd = 0.75;
+constexpr std::size_t kFurther = 2;  // frames for a promise, besides each studied one
+
+/// Of `candidates` up to `count` that are not in `studied`, each as far as it goes from these and from those before it:
+/// the ends of the animation soon, for motion is often largest there.
+std::vector<int> framesApart(const std::vector<int>& candidates, const std::vector<int>& studied, std::size_t count) {
+  std::vector<std::size_t> taken;
+  for (std::size_t i = 0; i < candidates.size(); ++i)
+    if (std::find(studied.begin(), studied.end(), candidates[i]) != studied.end()) taken.push_back(i);
+  std::vector<int> frames;
+  count = std::min(count, candidates.size() - taken.size());
+  while (frames.size() < count) {
+    std::size_t farthest = 0, most = 0;
+    for (std::size_t i = 0; i < candidates.size(); ++i) {
+      std::size_t nearest = candidates.size();
+      for (const std::size_t t : taken) nearest = std::min(nearest, i > t ? i - t : t - i);
+      if (nearest > most) farthest = i, most = nearest;
+    }
+    taken.push_back(farthest);
+    frames.push_back(candidates[farthest]);
+  }
+  return frames;
+}
 
 /// "90", "90s", "10m", "1.5h" to seconds.
 double parseBudget(const std::string& text) {
@@ -118,6 +140,9 @@ class Studying {
     const std::size_t count = std::min<std::size_t>(candidates.size(), static_cast<std::size_t>(options_.frames));
     std::vector<int> frames;
     for (std::size_t i = 0; i < count; ++i) frames.push_back(candidates[(2 * i + 1) * candidates.size() / (2 * count)]);
+    const std::vector<int> further = framesApart(candidates, frames, kFurther * count);
+    std::vector<int> all = frames;
+    all.insert(all.end(), further.begin(), further.end());
 
     std::string input = hexHash(scene.content_hash);
     const auto mix = [&](const fs::path& file) {
@@ -129,7 +154,7 @@ class Studying {
       // Where the files of a skin or a mesh sequence put the vertices at the moments that are looked at.
       const auto motion =
           scene.deformation.vertexMotion(loadModel(srf, readManifest(srf)).restMesh(), scene.fps, reporter_);
-      for (const int frame : frames)
+      for (const int frame : all)
         for (const double moment : momentsOf(scene.effects, frame)) {
           const auto& positions = motion->at(moment).positions;
           input += hexHash(contentHash(positions.data(), positions.size() * sizeof positions[0]));
@@ -137,7 +162,7 @@ class Studying {
     }
     for (const SceneLight& light : scene.lights)
       if (const auto* environment = std::get_if<EnvironmentLight>(&light)) mix(environment->map);
-    for (const int frame : frames) {
+    for (const int frame : all) {
       input += "," + std::to_string(frame);
       if (!options_.reference.empty()) mix(frameFile(options_.reference, frame));
     }
@@ -159,6 +184,7 @@ class Studying {
     study_.input_hash = hash;
     study_.scene_hash = hexHash(scene.content_hash);
     study_.frames = frames;
+    study_.further_frames = further;
     study_.passes = kPasses;
   }
 
@@ -282,7 +308,8 @@ class Studying {
     todo.clear();
     for (const SceneKeys& keys : worthTrying(study_)) todo.emplace_back(keys, 0);
     const bool searched = measureList("search", todo, kSearchEnd * options_.budget);
-    return measureFrontAtFullSize() && searched;
+    const bool timed = measureFrontAtFullSize();
+    return checkTheFront() && timed && searched;
   }
 
   /// What srf render chooses from; the fastest first, for a time that becomes shorter can push others off the front.
@@ -297,6 +324,44 @@ class Studying {
     }
   }
 
+  /// The further frames of the front, as many of them as the time left allows; false where these are not all.
+  bool checkTheFront() {
+    const std::size_t all = study_.further_frames.size();
+    std::vector<MeasuredSetting*> todo;
+    double a_frame = 0;
+    for (const MeasuredSetting* m : study_.front())
+      if (m->further.size() < all) {
+        todo.push_back(&study_.measured[static_cast<std::size_t>(m - study_.measured.data())]);
+        a_frame += m->worstSeconds() / m->full_size;
+      }
+    if (todo.empty()) return true;
+    const auto fitting = std::max(0.0, (options_.budget - elapsed()) / a_frame - 1);  // one for opening files
+    const std::size_t count = std::min(all, static_cast<std::size_t>(fitting));
+    std::erase_if(todo, [&](const MeasuredSetting* m) { return m->further.size() >= count; });
+    if (todo.empty()) return false;
+    const std::vector<int> frames(study_.further_frames.begin(),
+                                  study_.further_frames.begin() + static_cast<std::ptrdiff_t>(count));
+    bool exact_kept = true;
+    for (const int frame : frames) exact_kept &= fs::exists(frameFile(pattern(study_.exact), frame));
+    Reporter::Stage stage(reporter_, "promises of the front", todo.size() + !exact_kept);
+    if (!exact_kept) {
+      renderSetting(study_.exact, 0, frames);
+      stage.advance();
+    }
+    for (MeasuredSetting* m : todo) {
+      m->further.clear();
+      if (m->keys != study_.exact) renderSetting(m->keys, 0, frames);
+      for (const int frame : frames) {
+        const fs::path file = frameFile(pattern(m->keys), frame);
+        m->further.push_back(frameError(readImage(file).pixels, exactPicture(frame)));
+        if (m->keys != study_.exact) fs::remove(file);
+      }
+      save();
+      stage.advance();
+    }
+    return count == all;
+  }
+
   bool measureList(const std::string& name, std::vector<std::pair<SceneKeys, std::size_t>> todo, double end) {
     std::erase_if(todo, [&](const auto& entry) { return study_.find(entry.first, entry.second) != nullptr; });
     if (todo.empty()) return true;
@@ -309,17 +374,26 @@ class Studying {
     return true;
   }
 
-  void measure(const SceneKeys& keys, std::size_t memory) {
-    const double start = elapsed();
+  /// The frames, and the figures that they ended with. Makes the field where it is not there.
+  std::pair<std::vector<RenderedFrame>, std::map<std::string, double>> renderSetting(
+      const SceneKeys& keys, std::size_t memory, const std::vector<int>& frames) const {
     Reporter quiet(ProgressMode::none, LogLevel::error);
     makeField(keys);
     const Scene scene = readScene(options_.scene, overrides(readScene(options_.scene, {}, quiet), keys), quiet);
     AnimationOptions options = animationOptions(keys);
     options.output = pattern(keys, memory);
     if (memory) options.memory_bytes = memory;
-    for (int pass = 0; pass < kPasses; ++pass)
-      options.frames.insert(options.frames.end(), study_.frames.begin(), study_.frames.end());
-    const auto frames = renderAnimation(scene, options, quiet);
+    options.frames = frames;
+    auto rendered = renderAnimation(scene, options, quiet);
+    return {std::move(rendered), quiet.figures()};
+  }
+  ImageF exactPicture(int frame) const { return readImage(frameFile(pattern(study_.exact), frame)).pixels; }
+
+  void measure(const SceneKeys& keys, std::size_t memory) {
+    const double start = elapsed();
+    std::vector<int> passes;
+    for (int pass = 0; pass < kPasses; ++pass) passes.insert(passes.end(), study_.frames.begin(), study_.frames.end());
+    const auto [frames, figures] = renderSetting(keys, memory, passes);
     MeasuredSetting m;
     m.keys = keys;
     m.memory_bytes = memory;
@@ -333,18 +407,19 @@ class Studying {
       const auto [least, most] = std::minmax_element(repeats.begin(), repeats.end());
       m.spread += (*most - *least) / static_cast<double>(count);
       const ImageF image = readImage(frames[f].file).pixels;
-      m.exact.push_back(frameError(image, readImage(frameFile(pattern(study_.exact), study_.frames[f])).pixels));
+      m.exact.push_back(frameError(image, exactPicture(study_.frames[f])));
       if (!options_.reference.empty())
         m.truth.push_back(frameError(image, readImage(frameFile(options_.reference, study_.frames[f])).pixels));
       if (keys != study_.exact && study_.frames[f] != middleFrame()) fs::remove(frames[f].file);
     }
-    if (memory) fs::remove(frameFile(options.output, middleFrame()));
+    if (memory) fs::remove(frameFile(pattern(keys, memory), middleFrame()));
     toFullSize(m, study_.divisor > 1 && keys == study_.own && !memory);
-    const auto figures = quiet.figures();
-    const auto figure = [&](const char* name) { return figures.contains(name) ? figures.at(name) : 0; };
+    const auto figure = [&figures = figures](const char* name) {
+      return figures.contains(name) ? figures.at(name) : 0;
+    };
     m.bytes_read = figure("cache.bytes_read");
     m.peak_bytes = figure("cache.peak_bytes");
-    m.field_bytes = static_cast<double>(bytesInFolder(options.srf));
+    m.field_bytes = static_cast<double>(bytesInFolder(animationOptions(keys).srf));
     study_.measured.push_back(m);
     save();
     ++rendered_;

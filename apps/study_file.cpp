@@ -65,10 +65,11 @@ Json settingToJson(const MeasuredSetting& m) {
   out["field_bytes"] = m.field_bytes;
   out["against_exact"] = errorsToJson(m.exact);
   out["against_reference"] = errorsToJson(m.truth);
+  if (!m.further.empty()) out["against_exact_further"] = errorsToJson(m.further);
   return out;
 }
 
-MeasuredSetting settingFrom(const JsonNode& node, std::size_t frames) {
+MeasuredSetting settingFrom(const JsonNode& node, std::size_t frames, std::size_t further_frames) {
   MeasuredSetting m;
   m.keys = keysFrom(node["set"]);
   if (const auto bytes = node.find("memory_bytes")) m.memory_bytes = static_cast<std::size_t>(bytes->positiveNumber());
@@ -83,6 +84,10 @@ MeasuredSetting settingFrom(const JsonNode& node, std::size_t frames) {
   m.exact = errorsFrom(node["against_exact"]);
   m.truth = errorsFrom(node["against_reference"]);
   if (m.exact.size() != frames) throw node["against_exact"].error("holds other frames than /frames");
+  if (const auto further = node.find("against_exact_further")) {
+    m.further = errorsFrom(*further);
+    if (m.further.size() > further_frames) throw further->error("holds more frames than /further_frames");
+  }
   return m;
 }
 
@@ -134,16 +139,19 @@ double MeasuredSetting::worstError() const {
 }
 
 double MeasuredSetting::promisedError() const {
-  // Student's t of n - 1 degrees of freedom that 9 in 10 stay below; of more the last.
-  constexpr double kStudent[] = {3.078, 1.886, 1.638, 1.533, 1.476, 1.440, 1.415, 1.397, 1.383, 1.372};
+  // Student's t of n - 1 degrees of freedom that 39 in 40 stay below; of more the last.
+  constexpr double kStudent[] = {12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228};
   constexpr double kOneFrame = 1.1;  // a guess, for one frame tells nothing of the others
-  const std::size_t n = exact.size();
-  if (n < 2) return worstError() * kOneFrame;
+  std::vector<double> errors;
+  for (const FrameError& e : exact) errors.push_back(e.mean);
+  for (const FrameError& e : further) errors.push_back(e.mean);
+  const double n = static_cast<double>(errors.size()), worst = *std::max_element(errors.begin(), errors.end());
+  if (errors.size() < 2) return worst * kOneFrame;
   double mean = 0, squares = 0;
-  for (const FrameError& e : exact) mean += e.mean / static_cast<double>(n);
-  for (const FrameError& e : exact) squares += square(e.mean - mean);
-  const double spread = std::sqrt(squares / static_cast<double>(n - 1) * (1 + 1 / static_cast<double>(n)));
-  return std::max(worstError(), mean + kStudent[std::min(n - 2, std::size(kStudent) - 1)] * spread);
+  for (const double e : errors) mean += e / n;
+  for (const double e : errors) squares += square(e - mean);
+  const double spread = std::sqrt(squares / (n - 1) * (1 + 1 / n));
+  return std::max(worst, mean + kStudent[std::min(errors.size() - 2, std::size(kStudent) - 1)] * spread);
 }
 
 double MeasuredSetting::worstTruth() const {
@@ -214,11 +222,14 @@ Study readStudy(const std::filesystem::path& file) {
   for (std::size_t i = 0; i < root["frames"].size(); ++i)
     study.frames.push_back(static_cast<int>(root["frames"].at(i).integer(-1000000, 1000000)));
   if (study.frames.empty()) throw root["frames"].error("is empty, expected the studied frames");
+  if (const auto further = root.find("further_frames"))
+    for (std::size_t i = 0; i < further->size(); ++i)
+      study.further_frames.push_back(static_cast<int>(further->at(i).integer(-1000000, 1000000)));
   study.exact = keysFrom(root["exact"]);
   study.own = keysFrom(root["own"]);
   const JsonNode settings = root["settings"];
   for (std::size_t i = 0; i < settings.size(); ++i)
-    study.measured.push_back(settingFrom(settings.at(i), study.frames.size()));
+    study.measured.push_back(settingFrom(settings.at(i), study.frames.size(), study.further_frames.size()));
   return study;
 }
 
@@ -230,6 +241,7 @@ void writeStudy(const std::filesystem::path& file, const Study& study) {
   out["input_hash"] = study.input_hash;
   out["scene_hash"] = study.scene_hash;
   out["frames"] = study.frames;
+  out["further_frames"] = study.further_frames;
   out["passes"] = study.passes;
   out["picture_divisor"] = study.divisor;
   out["complete"] = study.complete;
@@ -289,10 +301,10 @@ const MeasuredSetting& chooseSetting(const Study& study, std::optional<double> e
   if (front.empty()) throw badInput(where, "holds no measured setting; run srf study again to go on with it");
   if (error && *error > 0 && *error < study.leastPromised()) refuseError(study, *error, where);
   const MeasuredSetting* best = nullptr;
-  for (const MeasuredSetting* m : front) {  // fastest first, so that of the last one the error is least
+  for (const MeasuredSetting* m : front) {  // fastest first
     if (seconds && m->promisedSeconds() > *seconds) break;
     if (error && m->promisedError() > *error) continue;
-    best = m;
+    if (!best || m->promisedError() < best->promisedError()) best = m;
     if (error) break;
   }
   if (best) return *best;

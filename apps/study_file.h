@@ -32,21 +32,23 @@ FrameError frameError(const ImageF& image, const ImageF& reference);
 
 struct MeasuredSetting {
   SceneKeys keys;
-  std::size_t memory_bytes = 0;    ///< 0: the program's own --memory
-  std::vector<FrameError> exact;   ///< of each studied frame, against the all-exact rendering
-  std::vector<FrameError> truth;   ///< against --reference; empty without it
-  std::vector<double> seconds;     ///< of each studied frame: median of its warm repeats
-  double spread = 0;               ///< slowest less fastest repeat of a frame, mean of the frames, seconds
-  double full_size = 1;            ///< what those of the study's pictures were multiplied by, for those of full size
-  bool full_size_measured = true;  ///< by a frame of full size; else foretold from the pixels alone
-  double cold = 0;                 ///< the first frame of the first run: files opened, nothing in memory, seconds
+  std::size_t memory_bytes = 0;     ///< 0: the program's own --memory
+  std::vector<FrameError> exact;    ///< of each studied frame, against the all-exact rendering
+  std::vector<FrameError> truth;    ///< against --reference; empty without it
+  std::vector<FrameError> further;  ///< of the first of Study::further_frames, against the all-exact rendering
+  std::vector<double> seconds;      ///< of each studied frame: median of its warm repeats
+  double spread = 0;                ///< slowest less fastest repeat of a frame, mean of the frames, seconds
+  double full_size = 1;             ///< what those of the study's pictures were multiplied by, for those of full size
+  bool full_size_measured = true;   ///< by a frame of full size; else foretold from the pixels alone
+  double cold = 0;                  ///< the first frame of the first run: files opened, nothing in memory, seconds
   double bytes_read = 0, peak_bytes = 0;  ///< of the field's cache
   double field_bytes = 0;                 ///< of the field's files
 
   double worstError() const;  ///< largest mean relative error of a studied frame
   double worstTruth() const;  ///< the same against --reference; 0 without it
   double worstSeconds() const;
-  /// What another frame keeps in 9 of 10, going by how the studied ones scatter; no less than the worst of these.
+  /// What 39 of 40 other frames keep, going by how the studied and the further ones scatter; no less than the worst of
+  /// these.
   double promisedError() const;
   double promisedSeconds() const;
 };
@@ -62,7 +64,8 @@ struct Knob {
 
 struct Study {
   std::string scene, field, input_hash, scene_hash, reference;
-  std::vector<int> frames;
+  std::vector<int> frames;          ///< of every setting
+  std::vector<int> further_frames;  ///< of what stands on the front, for its promise
   int passes = 0;
   int divisor = 1;  ///< the pictures were rendered 1 / divisor as wide and high; times are those of full size
   bool complete = false;
@@ -93,9 +96,9 @@ Study readStudy(const std::filesystem::path& file);
 void writeStudy(const std::filesystem::path& file, const Study& study);
 std::string studyTable(const Study& study);  ///< CSV, a row a setting and frame
 
-/// The fastest of the front that promises at most `error`, or the nearest that promises at most `seconds` a frame; with
-/// both, the fastest that keeps both. Throws bad_input that says what the study has to offer where none does, or where
-/// `error` is below leastPromised().
+/// The fastest of the front that promises at most `error`, or of those that promise at most `seconds` a frame the one
+/// with the least error; with both, the fastest that keeps both. Throws bad_input that says what the study has to offer
+/// where none does, or where `error` is below leastPromised().
 const MeasuredSetting& chooseSetting(const Study& study, std::optional<double> error, std::optional<double> seconds,
                                      const std::string& where);
 

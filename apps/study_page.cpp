@@ -127,8 +127,9 @@ std::string recommendations(const Study& study) {
         "pictures.</p>\n",
         100 * study.leastPromised());
   return out +
-         "<p>The promised error is what 9 in 10 frames keep, going by how the studied ones scatter, and no less than "
-         "the worst of these; the promised time is the longest and a tenth more. To use one: <code>srf render " +
+         "<p>The promised error is what 39 in 40 frames keep, going by how the studied and further frames scatter, and "
+         "no less than the worst of these; the promised time is the longest and a tenth more. To use one: <code>srf "
+         "render " +
          escaped(study.scene.substr(0, 120)) +
          " --quality study.json --target-error 0.01</code> (or <code>--target-time 0.1</code>).</p>\n";
 }
@@ -233,13 +234,19 @@ std::string frontTable(const Study& study) {
 }  // namespace
 
 std::string studyPage(const Study& study, const PictureOf& picture) {
-  std::string frames;
-  for (const int frame : study.frames) frames += (frames.empty() ? "" : ", ") + std::to_string(frame);
+  const auto listed = [](const std::vector<int>& numbers) {
+    std::string out;
+    for (const int number : numbers) out += (out.empty() ? "" : ", ") + std::to_string(number);
+    return out;
+  };
+  const std::string frames = listed(study.frames), further = listed(study.further_frames);
   std::string out = "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>" + escaped(study.scene) +
                     ": accuracy and time</title><style>" + html::kStyle +
                     "</style></head><body>\n<h1>What accuracy costs "
                     "in time</h1>\n<p class=\"note\">" +
-                    escaped(study.scene) + ", frames " + frames + ", srf " + projectVersion() + "</p>\n";
+                    escaped(study.scene) + ", frames " + frames +
+                    (further.empty() ? "" : " (for the front's promises also " + further + ")") + ", srf " +
+                    projectVersion() + "</p>\n";
   if (const MeasuredSetting* exact = study.find(study.exact), *own = study.find(study.own); exact && own)
     out += format("<p>The exact picture takes %.3g s a frame. The scene as it is takes %.3g s and differs by %s.</p>\n",
                   exact->worstSeconds(), own->worstSeconds(), percent(own->worstError()).c_str());

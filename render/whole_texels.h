@@ -1,5 +1,5 @@
-// Which texels of the views' stored rectangles have all four of a bilinear fetch covered: a table of bits that kernels look
-// up without asking Coverage.
+// Which texels of the views' stored rectangles have all four of a bilinear fetch covered: a table of bits that kernels
+// look up without asking Coverage.
 #pragma once
 
 #include <algorithm>

@@ -91,7 +91,7 @@ def main():
     print("| target | what was not studied | error, promised | found | seconds, promised | found |")
     print("|---|---|---|---|---|---|")
     counts = {target: [0, 0, 0] for target in options.error}  # cases, error kept, time kept
-    for number, (name, changed, frame) in enumerate(variations(scene, study["frames"])):
+    for number, (name, changed, frame) in enumerate(variations(scene, study["frames"] + study["further_frames"])):
         path = options.output / f"{number}.json"
         path.write_text(json.dumps(changed))
 

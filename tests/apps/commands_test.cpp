@@ -992,6 +992,22 @@ TEST(Study, MeasuresResumesAndKeepsItsPromiseOnFramesLeftOut) {
       }
   EXPECT_EQ(before, 0);
 
+  // What may be chosen has looked at twice as many frames besides, all apart, and promises no less than the worst.
+  ASSERT_EQ(study["further_frames"].size(), 2 * study["frames"].size());
+  std::set<int> looked_at(study["frames"].begin(), study["frames"].end());
+  looked_at.insert(study["further_frames"].begin(), study["further_frames"].end());
+  EXPECT_EQ(looked_at.size(), 3 * study["frames"].size());
+  EXPECT_TRUE(looked_at.contains(0) && looked_at.contains(8)) << "the ends of the animation";
+  for (const Json& setting : study["settings"]) {
+    const auto& front = study["front"];
+    if (setting.contains("memory_bytes") || std::find(front.begin(), front.end(), setting["set"]) == front.end())
+      continue;
+    ASSERT_EQ(setting["against_exact_further"].size(), study["further_frames"].size());
+    for (const char* of : {"against_exact", "against_exact_further"})
+      for (const Json& frame : setting[of])
+        EXPECT_GE(setting["promise"]["error"].get<double>(), frame["relative_error_mean"].get<double>());
+  }
+
   ASSERT_EQ(run(words).code, 0);
   EXPECT_FALSE(readJsonFile(stats)["counters"].has("study.settings_rendered")) << "a rerun renders again";
 
