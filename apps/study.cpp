@@ -306,7 +306,8 @@ class Studying {
         todo.emplace_back(knob.values[i], knob.memory.empty() ? 0 : knob.memory[i]);
     if (!measureList("one knob at a time", todo, options_.budget)) return false;
     todo.clear();
-    for (const SceneKeys& keys : worthTrying(study_)) todo.emplace_back(keys, 0);
+    if (!study_.complete)  // times at full size would have it search on
+      for (const SceneKeys& keys : worthTrying(study_)) todo.emplace_back(keys, 0);
     const bool searched = measureList("search", todo, kSearchEnd * options_.budget);
     const bool timed = measureFrontAtFullSize();
     return checkTheFront() && timed && searched;

@@ -82,18 +82,19 @@ std::string frontPlot(const Study& study) {
         "<rect x=\"%.1f\" y=\"%.1f\" width=\"12\" height=\"12\" fill=\"none\" stroke=\"%s\" "
         "stroke-width=\"2.5\"/>\n",
         x.at(own->worstSeconds()) - 6, y.at(drawn(*own)) - 6, kTimeColour);
-  const double legend = width - right - 300;
+  // At the lower left, where nothing lies: no setting is both fast and exact.
+  const double legend = left + 20, below = height - bottom - 80;
   out += format(
       "<rect x=\"%g\" y=\"%g\" width=\"295\" height=\"66\" fill=\"#fff\" fill-opacity=\".85\" stroke=\"#ddd\"/>"
       "<circle cx=\"%g\" cy=\"%g\" r=\"4\" fill=\"%s\"/><text x=\"%g\" y=\"%g\">the front: nothing measured beats "
       "these</text><circle cx=\"%g\" cy=\"%g\" r=\"3\" fill=\"#bbb\"/><text x=\"%g\" y=\"%g\">other "
       "settings</text>",
-      legend, top + 4, legend + 14, top + 18, kErrorColour, legend + 28, top + 22, legend + 14, top + 37, legend + 28,
-      top + 41);
+      legend, below, legend + 14, below + 14, kErrorColour, legend + 28, below + 18, legend + 14, below + 33,
+      legend + 28, below + 37);
   out += format(
       "<rect x=\"%g\" y=\"%g\" width=\"10\" height=\"10\" fill=\"none\" stroke=\"%s\" stroke-width=\"2.5\"/>"
       "<text x=\"%g\" y=\"%g\">the scene as it is</text></svg>\n",
-      legend + 9, top + 51, kTimeColour, legend + 28, top + 60);
+      legend + 9, below + 47, kTimeColour, legend + 28, below + 56);
   return out +
          format(
              "<p>Each dot is one setting of the renderer, tried on this scene: down is nearer to the exact picture, "
