@@ -92,8 +92,8 @@ void FrameRenderer::State::explainLights(const FrameLights& lights, FrameLightin
                                      [](const ChosenView& a, const ChosenView& b) { return a.weight < b.weight; });
   const std::uint32_t list = list_of_view[most->view];
   const auto& acquisition_from_object = hit.look_up.acquisition_from_object;
-  const Direction<ObjectSpace> normal = acquisition_from_object.inverse() * hit.look_up.normal;
-  const LitPoint point{hit.look_up.p, hit.hit.p_star, acquisition_from_object, normal};
+  const LitPoint point{hit.look_up.p, hit.hit.p_star, acquisition_from_object, hit.look_up.normal};
+  const Direction<ObjectSpace> normal = point.normal();
   const auto add = [&](ExplainedLight::Kind kind, const Direction<ObjectSpace>& direction, const FrameLights& one) {
     LightGather gathered;
     FrameLighting(one, lists, options).gather(list, point, gathered);

@@ -228,12 +228,14 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
           block.clear();
           block.seconds[kTrace] += secondsSince(start);
           s.gather(plan, rays, block, layers.wanted() ? &layers : nullptr, nullptr);
+          const auto gathered = Clock::now();
+          s.shared.want(block.shading.lights, plan.lighting);
+          block.seconds[kWeights] += secondsSince(gathered);
         }
       });
       std::array<double, kGatherStages.size()> spent{};
       for (std::size_t i = first; i < used; ++i) {
         bytes += s.blocks[i].bytes();
-        s.shared.want(s.blocks[i].shading.lights, plan.lighting);
         for (std::size_t stage = 0; stage < spent.size(); ++stage) spent[stage] += s.blocks[i].seconds[stage];
       }
       std::size_t kept = bytes;  // those of earlier batches that this one has not used count too

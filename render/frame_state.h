@@ -66,7 +66,7 @@ struct FrameRenderer::State {
   /// `layers` and `explained` may be null: then neither costs anything.
   void gather(const FramePlan& plan, const PixelRays& in, PixelBlock& out, Layers* layers,
               std::vector<ExplainedHit>* explained) const;
-  void addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
+  void addOperations(std::uint32_t target, const PickedView& picked, std::uint32_t lights,
                      std::vector<ShadingOperation>& out) const;
   /// Fills in the lights of a hit that has views.
   void explainLights(const FrameLights& lights, FrameLighting::Options options, ExplainedHit& hit) const;
