@@ -454,16 +454,25 @@ PacketHits trace(const EmbreeScene& scene, Packet& packet, std::span<TriangleHit
   return result;
 }
 
-/// `parts` rays around it, on a circle of radius kBeside.
-template <int parts>
+/// A ray kBeside away from it, or a little less: along the axis that it runs least along.
+RawRay beside(const RawRay& ray, double reach) {
+  int axis = 0;
+  for (int k = 1; k < 3; ++k)
+    if (std::fabs(ray.direction[k]) < std::fabs(ray.direction[axis])) axis = k;
+  RawRay moved = ray;
+  moved.origin[axis] += kBeside * reach;
+  return moved;
+}
+
+/// kPacket rays around it, on a circle of radius kBeside.
 void besides(const RawRay& ray, double reach, RawRay* moved) {
   struct Place {
     double cosine, sine;
   };
-  static const std::array<Place, parts> circle = [] {
-    std::array<Place, parts> places;
-    for (int part = 0; part < parts; ++part) {
-      const double angle = 6.283185307179586 * (part + 0.25) / parts;
+  static const std::array<Place, kPacket> circle = [] {
+    std::array<Place, kPacket> places;
+    for (std::size_t part = 0; part < kPacket; ++part) {
+      const double angle = 6.283185307179586 * (static_cast<double>(part) + 0.25) / kPacket;
       places[part] = {std::cos(angle), std::sin(angle)};
     }
     return places;
@@ -471,7 +480,7 @@ void besides(const RawRay& ray, double reach, RawRay* moved) {
   const Vec3& d = ray.direction;
   const Vec3 across = cross(d, std::fabs(d.x) < 0.5 ? Vec3{1, 0, 0} : Vec3{0, 1, 0});
   const Vec3 e = across / length(across), f = cross(d, e);
-  for (int part = 0; part < parts; ++part) {
+  for (std::size_t part = 0; part < kPacket; ++part) {
     moved[part] = ray;
     moved[part].origin += (kBeside * reach * circle[part].cosine) * e + (kBeside * reach * circle[part].sine) * f;
   }
@@ -491,14 +500,14 @@ void lookAgain(const EmbreeScene& scene, const RaysInSpace& rays, std::span<cons
   TriangleHit probes[kPacket], ring[kPacket];
   for (std::size_t begin = 0; begin < doubtful.size(); begin += kPacket) {
     const std::size_t count = std::min(kPacket, doubtful.size() - begin);
-    for (std::size_t i = 0; i < count; ++i) besides<1>(rays[doubtful[begin + i]], scene.reach(), moved + i);
+    for (std::size_t i = 0; i < count; ++i) moved[i] = beside(rays[doubtful[begin + i]], scene.reach());
     Packet packet({moved, count}, scene.reach());
     trace(scene, packet, {probes, count});
     for (std::size_t i = 0; i < count; ++i) {
       TriangleHit& hit = hits[doubtful[begin + i]];
       if (!nearer(probes[i], hit)) continue;
       const RawRay ray = rays[doubtful[begin + i]];
-      besides<kPacket>(ray, scene.reach(), moved);
+      besides(ray, scene.reach(), moved);
       Packet around(moved, scene.reach());
       trace(scene, around, ring);
       // Surrounded on all sides by something nearer, it cannot but meet it: then the triangle it comes closest to.

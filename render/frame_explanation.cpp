@@ -31,7 +31,9 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
   PixelBlock block;
   PixelExplanation result;
   result.samples = static_cast<int>(plan.pattern.size());
-  s.gather(plan, rays, block, nullptr, &result.hits);
+  RaysMet met;
+  deformed.trace(rays.rays, met);
+  s.gather(plan, rays, met, block, nullptr, &result.hits);
   s.shared.want(block.shading.lights, plan.lighting);
   s.shared.compute(plan.lighting);
   s.shading->execute({&block.shading, 1});

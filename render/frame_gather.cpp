@@ -79,8 +79,8 @@ void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model,
 
 }  // namespace
 
-void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, PixelBlock& out, Layers* layers,
-                                  std::vector<ExplainedHit>* explained) const {
+void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, RaysMet& rays_met, PixelBlock& out,
+                                  Layers* layers, std::vector<ExplainedHit>* explained) const {
   const Camera<ObjectSpace>& camera = plan.camera;
   const DeformedModel& deformed = plan.deformed;
   const GuidedLighting* guided = plan.guided ? &*plan.guided : nullptr;
@@ -94,13 +94,10 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     out.seconds[stage] += std::chrono::duration<double>(now - clock).count();
     clock = now;
   };
-  thread_local RaysMet rays_met;   // large, and all of it is written
-  deformed.trace(rays, rays_met);  // M10
-  lap(kTrace);
   // Without a ground, which wants to know of every ray, triangles that are not shaded need not be blended.
   const bool sparse = plan.sparse && !layers && !explained;
   const bool before_blend = sparse && !plan.ground && deformed.model().kind == ModelKind::mesh;
-  thread_local SparseRays fewer;  // likewise
+  thread_local SparseRays fewer;  // large, and all of it is written
   if (before_blend) {
     keepShaded(camera, deformed.model(), in, rays_met, fewer, out.between);
     rays = fewer.rays.rays, pixels = fewer.rays.pixel;

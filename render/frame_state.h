@@ -63,8 +63,9 @@ struct FrameRenderer::State {
   State(const std::filesystem::path& srf_folder, const SrfManifest& manifest, const DeformableModel& model,
         const FrameSettings& frame_settings, Reporter& frame_reporter);
 
-  /// `layers` and `explained` may be null: then neither costs anything.
-  void gather(const FramePlan& plan, const PixelRays& in, PixelBlock& out, Layers* layers,
+  /// From what rays met (which it changes) to operations. `layers` and `explained` may be null: then neither costs
+  /// anything.
+  void gather(const FramePlan& plan, const PixelRays& in, RaysMet& rays_met, PixelBlock& out, Layers* layers,
               std::vector<ExplainedHit>* explained) const;
   void addOperations(std::uint32_t target, const PickedView& picked, std::uint32_t lights,
                      std::vector<ShadingOperation>& out) const;
