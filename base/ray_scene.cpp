@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <optional>
 
@@ -373,14 +374,36 @@ struct Packet {
   double start[kPacket];
 
   Packet(std::span<const RawRay> from, double reach) {
-    // Side by side first: then the rest is done for several at once.
-    double o[3][kPacket], d[3][kPacket], near_distance[kPacket], far_distance[kPacket];
+    Sides sides;
     for (std::size_t i = 0; i < kPacket; ++i) {
       const RawRay& r = from[std::min(i, from.size() - 1)];
-      valid[i] = i < from.size() ? -1 : 0;
-      for (int k = 0; k < 3; ++k) o[k][i] = r.origin[k], d[k][i] = r.direction[k];
-      near_distance[i] = r.near_distance, far_distance[i] = r.far_distance;
+      for (int k = 0; k < 3; ++k) sides.origin[k][i] = r.origin[k], sides.direction[k][i] = r.direction[k];
+      sides.near_distance[i] = r.near_distance, sides.far_distance[i] = r.far_distance;
     }
+    put(sides, from.size(), reach);
+  }
+  /// `count` of the rays, from `first` on.
+  Packet(const RaysInSpace& from, std::size_t first, std::size_t count, double reach) {
+    Sides sides;
+    for (std::size_t i = 0; i < kPacket; ++i) {
+      const double* const numbers = from.numbers + 6 * (first + std::min(i, count - 1));
+      for (int k = 0; k < 3; ++k) sides.origin[k][i] = numbers[k], sides.direction[k][i] = numbers[3 + k];
+    }
+    for (std::size_t i = 0; i < kPacket; ++i) {
+      for (int k = 0; k < 3; ++k) sides.origin[k][i] -= from.center[k];
+      sides.near_distance[i] = from.near_distance, sides.far_distance[i] = from.far_distance;
+    }
+    put(sides, count, reach);
+  }
+
+ private:
+  /// Rays side by side: then the rest is done for several at once.
+  struct Sides {
+    double origin[3][kPacket], direction[3][kPacket], near_distance[kPacket], far_distance[kPacket];
+  };
+
+  void put(const Sides& sides, std::size_t count, double reach) {
+    const auto &o = sides.origin, &d = sides.direction;
     RTCRay16& ray = rays.ray;
     for (std::size_t i = 0; i < kPacket; ++i) {
       const double along = o[0][i] * d[0][i] + o[1][i] * d[1][i] + o[2][i] * d[2][i];
@@ -390,46 +413,66 @@ struct Packet {
       ray.org_z[i] = static_cast<float>(o[2][i] + start[i] * d[2][i]);
       ray.dir_x[i] = static_cast<float>(d[0][i]), ray.dir_y[i] = static_cast<float>(d[1][i]);
       ray.dir_z[i] = static_cast<float>(d[2][i]);
-      ray.tnear[i] = static_cast<float>(std::max(0.0, near_distance[i] - start[i]));
-      ray.tfar[i] = static_cast<float>(far_distance[i] - start[i]);
+      ray.tnear[i] = static_cast<float>(std::max(0.0, sides.near_distance[i] - start[i]));
+      ray.tfar[i] = static_cast<float>(sides.far_distance[i] - start[i]);
     }
     for (std::size_t i = 0; i < kPacket; ++i) {
+      valid[i] = i < count ? -1 : 0;
       ray.time[i] = 0, ray.mask[i] = 0xffffffffu, ray.id[i] = static_cast<unsigned>(i), ray.flags[i] = 0;
       rays.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+      rays.hit.Ng_x[i] = rays.hit.Ng_y[i] = rays.hit.Ng_z[i] = 0;
     }
   }
 };
 
-/// Traces up to 16 rays; bit i of the result: the triangle of ray i is seen from behind.
-unsigned tracePacket(const EmbreeScene& scene, std::span<const RawRay> rays, TriangleHit* hits) {
-  Packet packet(rays, scene.reach());
+/// What a packet met, bits by ray.
+struct PacketHits {
+  unsigned met, from_behind;
+};
+
+PacketHits trace(const EmbreeScene& scene, Packet& packet, std::span<TriangleHit> hits) {
   RTCIntersectContext context;
   rtcInitIntersectContext(&context);
   context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
   rtcIntersect16(packet.valid, scene.scene(), &context, &packet.rays);
   const RTCRay16& ray = packet.rays.ray;
   const RTCHit16& hit = packet.rays.hit;
-  unsigned behind = 0;
-  for (std::size_t i = 0; i < rays.size(); ++i) {
-    hits[i] = {};
-    if (hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) continue;
-    hits[i] = {hit.primID[i], hit.u[i], hit.v[i], static_cast<float>(packet.start[i] + ray.tfar[i])};
+  float distance[kPacket];
+  int met[kPacket], behind[kPacket];
+  for (std::size_t i = 0; i < kPacket; ++i) {
+    distance[i] = static_cast<float>(packet.start[i] + ray.tfar[i]);
     const float facing = hit.Ng_x[i] * ray.dir_x[i] + hit.Ng_y[i] * ray.dir_y[i] + hit.Ng_z[i] * ray.dir_z[i];
-    behind |= unsigned{facing > 0} << i;
+    met[i] = hit.geomID[i] != RTC_INVALID_GEOMETRY_ID;
+    behind[i] = facing > 0;
   }
-  return behind;
+  PacketHits result{0, 0};
+  for (std::size_t i = 0; i < hits.size(); ++i) {
+    result.met |= static_cast<unsigned>(met[i]) << i;
+    result.from_behind |= static_cast<unsigned>(met[i] & behind[i]) << i;
+    hits[i] = met[i] ? TriangleHit{hit.primID[i], hit.u[i], hit.v[i], distance[i]} : TriangleHit{};
+  }
+  return result;
 }
 
-/// `parts` rays around it, on a circle of radius kBeside.
-template <int parts>
+/// A ray kBeside away from it, or a little less: along the axis that it runs least along.
+RawRay beside(const RawRay& ray, double reach) {
+  int axis = 0;
+  for (int k = 1; k < 3; ++k)
+    if (std::fabs(ray.direction[k]) < std::fabs(ray.direction[axis])) axis = k;
+  RawRay moved = ray;
+  moved.origin[axis] += kBeside * reach;
+  return moved;
+}
+
+/// kPacket rays around it, on a circle of radius kBeside.
 void besides(const RawRay& ray, double reach, RawRay* moved) {
   struct Place {
     double cosine, sine;
   };
-  static const std::array<Place, parts> circle = [] {
-    std::array<Place, parts> places;
-    for (int part = 0; part < parts; ++part) {
-      const double angle = 6.283185307179586 * (part + 0.25) / parts;
+  static const std::array<Place, kPacket> circle = [] {
+    std::array<Place, kPacket> places;
+    for (std::size_t part = 0; part < kPacket; ++part) {
+      const double angle = 6.283185307179586 * (static_cast<double>(part) + 0.25) / kPacket;
       places[part] = {std::cos(angle), std::sin(angle)};
     }
     return places;
@@ -437,7 +480,7 @@ void besides(const RawRay& ray, double reach, RawRay* moved) {
   const Vec3& d = ray.direction;
   const Vec3 across = cross(d, std::fabs(d.x) < 0.5 ? Vec3{1, 0, 0} : Vec3{0, 1, 0});
   const Vec3 e = across / length(across), f = cross(d, e);
-  for (int part = 0; part < parts; ++part) {
+  for (std::size_t part = 0; part < kPacket; ++part) {
     moved[part] = ray;
     moved[part].origin += (kBeside * reach * circle[part].cosine) * e + (kBeside * reach * circle[part].sine) * f;
   }
@@ -446,28 +489,27 @@ void besides(const RawRay& ray, double reach, RawRay* moved) {
 // Embree decides by the signs of three edge functions, each rounded for itself. At a vertex the signs of all edges may
 // come out so that the ray passes outside every triangle of the fan: some 0.2 % of the rays aimed at one do. A ray that
 // has slipped through a closed part either meets nothing more or meets the part from its other side, so those rays are
-// looked at again: with rays close beside it, and where these meet something nearer, in double.
-void lookAgain(const EmbreeScene& scene, std::span<const RawRay> rays, std::span<const std::uint32_t> doubtful,
+// looked at again: with a ray close beside it, which cannot but meet the part unless its outline runs between them, and
+// where that meets something nearer, with rays all around and in double.
+void lookAgain(const EmbreeScene& scene, const RaysInSpace& rays, std::span<const std::uint32_t> doubtful,
                std::span<TriangleHit> hits) {
-  constexpr std::size_t kProbes = 4, kGroup = kPacket / kProbes;
   const auto nearer = [](const TriangleHit& probe, const TriangleHit& hit) {
     return probe.hit() && probe.triangle != hit.triangle && !(hit.hit() && probe.distance >= hit.distance);
   };
   RawRay moved[kPacket];
   TriangleHit probes[kPacket], ring[kPacket];
-  for (std::size_t begin = 0; begin < doubtful.size(); begin += kGroup) {
-    const std::size_t count = std::min(kGroup, doubtful.size() - begin);
-    for (std::size_t i = 0; i < count; ++i)
-      besides<kProbes>(rays[doubtful[begin + i]], scene.reach(), moved + i * kProbes);
-    tracePacket(scene, {moved, count * kProbes}, probes);
+  for (std::size_t begin = 0; begin < doubtful.size(); begin += kPacket) {
+    const std::size_t count = std::min(kPacket, doubtful.size() - begin);
+    for (std::size_t i = 0; i < count; ++i) moved[i] = beside(rays[doubtful[begin + i]], scene.reach());
+    Packet packet({moved, count}, scene.reach());
+    trace(scene, packet, {probes, count});
     for (std::size_t i = 0; i < count; ++i) {
-      const RawRay& ray = rays[doubtful[begin + i]];
       TriangleHit& hit = hits[doubtful[begin + i]];
-      if (std::none_of(probes + i * kProbes, probes + (i + 1) * kProbes,
-                       [&](const TriangleHit& probe) { return nearer(probe, hit); }))
-        continue;
-      besides<kPacket>(ray, scene.reach(), moved);
-      tracePacket(scene, moved, ring);
+      if (!nearer(probes[i], hit)) continue;
+      const RawRay ray = rays[doubtful[begin + i]];
+      besides(ray, scene.reach(), moved);
+      Packet around(moved, scene.reach());
+      trace(scene, around, ring);
       // Surrounded on all sides by something nearer, it cannot but meet it: then the triangle it comes closest to.
       const bool surrounded = std::all_of(ring, ring + kPacket, [&](const auto& probe) { return nearer(probe, hit); });
       std::optional<EmbreeScene::Crossing> best;
@@ -489,21 +531,26 @@ void lookAgain(const EmbreeScene& scene, std::span<const RawRay> rays, std::span
 
 }  // namespace
 
-void RayBackend::intersect(std::span<const RawRay> rays, std::span<TriangleHit> hits) const {
-  SRF_CHECK(rays.size() == hits.size());
-  std::vector<std::uint32_t> doubtful;
-  std::vector<std::uint8_t> behind(rays.size());
+void RayBackend::intersect(const RaysInSpace& rays, std::span<TriangleHit> hits) const {
+  SRF_CHECK(rays.count == hits.size());
+  thread_local std::vector<std::uint32_t> doubtful;
+  thread_local std::vector<PacketHits> packets;
+  doubtful.clear(), packets.clear();
   std::size_t met = 0, from_behind = 0;
-  for (std::size_t begin = 0; begin < rays.size(); begin += kPacket) {
-    const std::size_t count = std::min(kPacket, rays.size() - begin);
-    const unsigned seen_behind = tracePacket(*scene_, rays.subspan(begin, count), &hits[begin]);
-    for (std::size_t i = begin; i < begin + count; ++i) {
-      behind[i] = seen_behind >> (i - begin) & 1;
-      if (hits[i].hit())
-        ++met, from_behind += behind[i];
-      else if (scene_->meetsBox(rays[i]))
-        doubtful.push_back(static_cast<std::uint32_t>(i));
+  const auto doubt = [](unsigned bits, std::size_t begin) {
+    for (; bits; bits &= bits - 1) doubtful.push_back(static_cast<std::uint32_t>(begin + std::countr_zero(bits)));
+  };
+  for (std::size_t begin = 0; begin < rays.count; begin += kPacket) {
+    const std::size_t count = std::min(kPacket, rays.count - begin);
+    Packet packet(rays, begin, count, scene_->reach());
+    const PacketHits of = packets.emplace_back(trace(*scene_, packet, hits.subspan(begin, count)));
+    met += std::popcount(of.met), from_behind += std::popcount(of.from_behind);
+    unsigned missed = ~of.met & ((1u << count) - 1);
+    for (unsigned rest = missed; rest; rest &= rest - 1) {
+      const auto i = static_cast<std::size_t>(std::countr_zero(rest));
+      if (!scene_->meetsBox(rays[begin + i])) missed &= ~(1u << i);
     }
+    doubt(missed, begin);
   }
   // Rays of one batch mostly start outside, or mostly inside; and a mirror turns every triangle. So it is the rarer
   // side that is doubtful.
@@ -511,8 +558,9 @@ void RayBackend::intersect(std::span<const RawRay> rays, std::span<TriangleHit> 
   const std::size_t from_front = met - from_behind;
   const bool doubt_front = few || from_front < from_behind, doubt_behind = few || from_behind < from_front;
   if ((doubt_front && from_front > 0) || (doubt_behind && from_behind > 0))
-    for (std::size_t i = 0; i < rays.size(); ++i)
-      if (hits[i].hit() && (behind[i] ? doubt_behind : doubt_front)) doubtful.push_back(static_cast<std::uint32_t>(i));
+    for (std::size_t p = 0; p < packets.size(); ++p)
+      doubt((doubt_front ? packets[p].met & ~packets[p].from_behind : 0) | (doubt_behind ? packets[p].from_behind : 0),
+            p * kPacket);
   lookAgain(*scene_, rays, doubtful, hits);
 }
 

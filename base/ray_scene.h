@@ -8,6 +8,7 @@
 #include <limits>
 #include <memory>
 #include <span>
+#include <type_traits>
 #include <vector>
 
 #include "base/camera.h"
@@ -50,6 +51,18 @@ struct RawRay {
   Vec3 origin, direction;
   double near_distance, far_distance;
 };
+/// Rays as they come, six numbers each: origin and direction. From each origin the scene's centre is still to be taken.
+struct RaysInSpace {
+  const double* numbers;
+  std::size_t count;
+  Vec3 center;
+  double near_distance, far_distance;
+
+  RawRay operator[](std::size_t i) const {
+    const double* const n = numbers + 6 * i;
+    return {Vec3{n[0], n[1], n[2]} - center, {n[3], n[4], n[5]}, near_distance, far_distance};
+  }
+};
 struct RawSplat {
   float center[3], u[3], v[3];
 };
@@ -66,7 +79,7 @@ class RayBackend {
   RawSplat* splats(std::size_t count);
   void setSplats(float cutoff);
   void moveSplats();
-  void intersect(std::span<const RawRay> rays, std::span<TriangleHit> hits) const;
+  void intersect(const RaysInSpace& rays, std::span<TriangleHit> hits) const;
   void occluded(std::span<const RawRay> rays, bool side_by_side, std::span<std::uint8_t> blocked) const;
   void gatherSplats(std::span<const RawRay> rays, float depth_window, SplatLists& lists) const;
 
@@ -109,15 +122,11 @@ class RayScene {
   /// Closest triangle of each ray (misses have kNoHit). Sizes must agree. Watertight: no ray slips through an edge or a
   /// vertex of a closed part that it comes upon from outside, nor out of one part that it starts in.
   void intersect(std::span<const Ray<Space>> rays, std::span<TriangleHit> hits, double near_distance = 0) const {
-    thread_local std::vector<detail::RawRay> raw;
-    if (raw.size() < rays.size()) raw.resize(rays.size());
-    for (std::size_t i = 0; i < rays.size(); ++i) raw[i] = local(rays[i], near_distance, kFar);
-    backend_.intersect({raw.data(), rays.size()}, hits);
+    backend_.intersect(inSpace(rays, near_distance), hits);
   }
   TriangleHit intersect(const Ray<Space>& ray, double near_distance = 0) const {
     TriangleHit hit;
-    const detail::RawRay raw = local(ray, near_distance, kFar);
-    backend_.intersect({&raw, 1}, {&hit, 1});
+    backend_.intersect(inSpace({&ray, 1}, near_distance), {&hit, 1});
     return hit;
   }
   /// blocked[i] = 1 where something lies on ray i between near_distance and far_distances[i]. `side_by_side`: rays one
@@ -198,6 +207,10 @@ class RayScene {
     }
     center_ = all.box.empty() ? Point<Space>() : all.box.center();
     return all.finite;
+  }
+  detail::RaysInSpace inSpace(std::span<const Ray<Space>> rays, double near_distance) const {
+    static_assert(std::is_standard_layout_v<Ray<Space>> && sizeof(Ray<Space>) == 6 * sizeof(double));
+    return {reinterpret_cast<const double*>(rays.data()), rays.size(), center_.raw(), near_distance, kFar};
   }
   detail::RawRay local(const Ray<Space>& ray, double near_distance, double far_distance) const {
     return {(ray.origin - center_).raw(), ray.direction.raw(), near_distance, far_distance};

@@ -39,6 +39,7 @@ std::uint32_t CastShadows::gather(std::uint32_t list_index, const LitPoint& poin
                                   Counts& counts) const {
   const AcquiredLights& list = lighting_.lists()[list_index];
   const FrameLights& lights = lighting_.lights();
+  const Direction<ObjectSpace> normal_star = point.normal();
   LightWeights w;
   w.first_entry = static_cast<std::uint32_t>(out.entries.size());
   const auto add = [&](std::uint32_t light, const Vec3& weight) {
@@ -49,7 +50,7 @@ std::uint32_t CastShadows::gather(std::uint32_t list_index, const LitPoint& poin
   thread_local std::vector<Asked> asked;
   asked.clear();
   const auto ask = [&](const Direction<ObjectSpace>& direction, const Vec3& irradiance, double far_distance) {
-    const double cosine = dot(point.normal.raw(), direction.raw());
+    const double cosine = dot(normal_star.raw(), direction.raw());
     asked.push_back({direction, irradiance, far_distance, cosine * dot(kLuminance, irradiance)});
   };
   for (const DistantLight& light : lights.distant)
@@ -69,7 +70,7 @@ std::uint32_t CastShadows::gather(std::uint32_t list_index, const LitPoint& poin
   for (const NearLight& light : lights.near_lights) {  // Eq. 11: A(|p* - p_l|) I_l
     const Vector<ObjectSpace> to_light = light.position - point.p_star;
     const double d = std::max(length(to_light), lighting_.options().min_distance);
-    ask(normalize(to_light).value_or(point.normal), light.intensity / (d * d), kShortOfLight * length(to_light));
+    ask(normalize(to_light).value_or(normal_star), light.intensity / (d * d), kShortOfLight * length(to_light));
     if (asked.back().given > 0) order.push_back(asked.size() - 1);
   }
   for (const std::size_t k : order) asked[k].by_ray = true;
@@ -79,7 +80,7 @@ std::uint32_t CastShadows::gather(std::uint32_t list_index, const LitPoint& poin
   thread_local std::vector<std::uint8_t> blocked;
   if (options_.shadows != Shadows::off && !order.empty()) {
     rays.clear(), far_distances.clear();
-    const Point<ObjectSpace> origin = point.p_star + offset_ * point.normal;
+    const Point<ObjectSpace> origin = point.p_star + offset_ * normal_star;
     for (const std::size_t k : order) {
       rays.push_back({origin, asked[k].direction});
       far_distances.push_back(asked[k].far_distance);
@@ -97,7 +98,7 @@ std::uint32_t CastShadows::gather(std::uint32_t list_index, const LitPoint& poin
   if (stand_ins.size() < asked.size()) stand_ins.resize(asked.size());
   lit.assign(static_cast<std::size_t>(list.count()), -1);
   unknown.clear();
-  const Direction<AcquisitionSpace> normal = point.acquisition_from_object * point.normal;
+  const Direction<AcquisitionSpace> normal = point.acquisition_from_object * normal_star;
   for (std::size_t k = 0; k < asked.size(); ++k) {
     if (!asked[k].reaches) continue;
     list.nearest(point.acquisition_from_object * asked[k].direction, point.p, out.scratch, stand_ins[k]);

@@ -31,7 +31,9 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
   PixelBlock block;
   PixelExplanation result;
   result.samples = static_cast<int>(plan.pattern.size());
-  s.gather(plan, rays, block, nullptr, &result.hits);
+  RaysMet met;
+  deformed.trace(rays.rays, met);
+  s.gather(plan, rays, met, block, nullptr, &result.hits);
   s.shared.want(block.shading.lights, plan.lighting);
   s.shared.compute(plan.lighting);
   s.shading->execute({&block.shading, 1});
@@ -92,8 +94,8 @@ void FrameRenderer::State::explainLights(const FrameLights& lights, FrameLightin
                                      [](const ChosenView& a, const ChosenView& b) { return a.weight < b.weight; });
   const std::uint32_t list = list_of_view[most->view];
   const auto& acquisition_from_object = hit.look_up.acquisition_from_object;
-  const Direction<ObjectSpace> normal = acquisition_from_object.inverse() * hit.look_up.normal;
-  const LitPoint point{hit.look_up.p, hit.hit.p_star, acquisition_from_object, normal};
+  const LitPoint point{hit.look_up.p, hit.hit.p_star, acquisition_from_object, hit.look_up.normal};
+  const Direction<ObjectSpace> normal = point.normal();
   const auto add = [&](ExplainedLight::Kind kind, const Direction<ObjectSpace>& direction, const FrameLights& one) {
     LightGather gathered;
     FrameLighting(one, lists, options).gather(list, point, gathered);

@@ -7,13 +7,12 @@
 
 namespace srf {
 
-void FrameRenderer::State::addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
+void FrameRenderer::State::addOperations(std::uint32_t target, const PickedView& fetch, std::uint32_t lights,
                                          std::vector<ShadingOperation>& out) const {
-  const Fetch& fetch = chosen.fetch;
-  if (!(fetch.covered > 0)) return;
-  const StoreGeometry& geometry = selection->views()[chosen.view].geometry;
-  const float weight = static_cast<float>(chosen.weight);
-  const auto view = static_cast<std::uint16_t>(chosen.view);
+  if (!fetch.covered) return;
+  const StoreGeometry& geometry = selection->views()[fetch.view].geometry;
+  const float weight = fetch.weight;
+  const auto view = static_cast<std::uint16_t>(fetch.view);
   const int in_x = fetch.x & (kTile - 1), in_y = fetch.y & (kTile - 1);
   const int tile_x = (fetch.x - in_x) / kTile, tile_y = (fetch.y - in_y) / kTile;
   const auto tile = [&](int x, int y) { return geometry.tileNumber({fetch.level, tile_x + x, tile_y + y}); };
@@ -80,8 +79,8 @@ void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model,
 
 }  // namespace
 
-void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, PixelBlock& out, Layers* layers,
-                                  std::vector<ExplainedHit>* explained) const {
+void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, RaysMet& rays_met, PixelBlock& out,
+                                  Layers* layers, std::vector<ExplainedHit>* explained) const {
   const Camera<ObjectSpace>& camera = plan.camera;
   const DeformedModel& deformed = plan.deformed;
   const GuidedLighting* guided = plan.guided ? &*plan.guided : nullptr;
@@ -95,13 +94,10 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     out.seconds[stage] += std::chrono::duration<double>(now - clock).count();
     clock = now;
   };
-  thread_local RaysMet rays_met;   // large, and all of it is written
-  deformed.trace(rays, rays_met);  // M10
-  lap(kTrace);
   // Without a ground, which wants to know of every ray, triangles that are not shaded need not be blended.
   const bool sparse = plan.sparse && !layers && !explained;
   const bool before_blend = sparse && !plan.ground && deformed.model().kind == ModelKind::mesh;
-  thread_local SparseRays fewer;  // likewise
+  thread_local SparseRays fewer;  // large, and all of it is written
   if (before_blend) {
     keepShaded(camera, deformed.model(), in, rays_met, fewer, out.between);
     rays = fewer.rays.rays, pixels = fewer.rays.pixel;
@@ -145,12 +141,36 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     query.points = {hit.point, static_cast<std::size_t>(hit.count)};
     query.point_weights = {hit.weight, static_cast<std::size_t>(hit.count)};
   }
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> handles;  // (list, light weights) of the hit
+  thread_local std::vector<FrameLighting::Wanted> wanted;        // of hits, by handle, weighed below
+  wanted.clear();
+  out.shading.operations.reserve(met.size() * (static_cast<std::size_t>(settings.accuracy.views) + 1));
+  const auto addPicked = [&](std::size_t m, const PickedView& picked) {
+    const std::uint32_t list = list_of_view[picked.view];
+    auto handle = std::find_if(handles.begin(), handles.end(), [&](const auto& h) { return h.first == list; });
+    if (handle == handles.end()) {
+      handle = handles.insert(handle, {list, static_cast<std::uint32_t>(wanted.size())});
+      wanted.push_back({static_cast<std::uint32_t>(m), list});
+    }
+    addOperations(static_cast<std::uint32_t>(m), picked, handle->second, out.shading.operations);
+  };
+  const auto samples = static_cast<double>(plan.pattern.size());
   thread_local ViewSelection::Scratch scratch;
   thread_local ViewSelection::Chosen chosen;
-  selection->select(queries, plan.allowed, scratch, chosen);  // M12
+  // Where nothing else asks for the views, a hit's operations are made as soon as they are settled.
+  ViewSelection::Take take;
+  if (!guided && !settings.matte && !support && !layers && !explained)
+    take = [&](std::size_t m, std::span<const PickedView> views) {
+      if (levels->mayApply(camera, samples, hits[met[m]], look_ups[m], queries[m].view)) return false;
+      handles.clear();
+      for (const PickedView& picked : views) addPicked(m, picked);
+      return true;
+    };
+  selection->select(queries, plan.allowed, scratch, chosen, take);  // M12
   for (std::size_t m = 0; m < met.size(); ++m)
-    levels->apply(camera, static_cast<double>(plan.pattern.size()), hits[met[m]], look_ups[m], queries[m].view,
-                  std::span(chosen.views).subspan(chosen.first[m], chosen.first[m + 1] - chosen.first[m]));
+    if (const std::size_t count = chosen.first[m + 1] - chosen.first[m])
+      levels->apply(camera, samples, hits[met[m]], look_ups[m], queries[m].view,
+                    std::span(chosen.views).subspan(chosen.first[m], count));
   if (guided)
     for (std::size_t m = 0; m < met.size(); ++m)
       guided->weigh(hits[met[m]],
@@ -164,27 +184,18 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     }
   }
 
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> handles;  // (list, light weights) of the hit
-  thread_local std::vector<FrameLighting::Wanted> wanted;        // of met, by handle, weighed below
-  wanted.clear();
   out.pixel.reserve(met.size());
-  out.shading.operations.reserve(chosen.views.size() + chosen.views.size() / 4);
   Clock::duration supporting{0};
   for (std::size_t m = 0; m < met.size(); ++m) {
-    const auto target = static_cast<std::uint32_t>(out.pixel.size());
     const bool first_of_pixel = out.pixel.empty() || out.pixel.back() != pixels[met[m]];
     out.pixel.push_back(pixels[met[m]]);
     out.not_seen += chosen.result[m] == ViewSelection::Result::not_seen;
     out.no_view += chosen.result[m] == ViewSelection::Result::none;
     handles.clear();
     for (const ChosenView& c : chosen.of(m)) {
-      const std::uint32_t list = list_of_view[c.view];
-      auto handle = std::find_if(handles.begin(), handles.end(), [&](const auto& h) { return h.first == list; });
-      if (handle == handles.end()) {
-        handle = handles.insert(handle, {list, static_cast<std::uint32_t>(wanted.size())});
-        wanted.push_back({static_cast<std::uint32_t>(m), list});
-      }
-      addOperations(target, c, handle->second, out.shading.operations);
+      const Fetch& fetch = c.fetch;
+      const auto weight = static_cast<float>(c.weight);
+      addPicked(m, {c.view, weight, fetch.x, fetch.y, fetch.level, fetch.covered > 0, fetch.tap});
     }
     const SurfaceHit& hit = hits[met[m]];
     if (first_of_pixel && (support || layers)) {
@@ -234,7 +245,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
     const LookUp& look_up = look_ups[m];
     point.p = look_up.p, point.p_star = hits[met[m]].p_star;
     point.acquisition_from_object = look_up.acquisition_from_object;
-    point.normal = look_up.acquisition_from_object.inverse() * look_up.normal;
+    point.n0 = look_up.normal;
   };
   if (!guided && !plan.cast) {
     thread_local std::vector<LitPoint> points;
@@ -257,7 +268,6 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Pi
         plan.lighting.gather(list, point, out.shading.lights);
     }
   }
-  out.shading.lights.known = {};
   out.shadow_rays = guided_block.shadow_rays + cast_counts.rays;
   out.shadows_not_told = cast_counts.not_told;
   out.model_values = guided_block.model_values;

@@ -17,6 +17,9 @@ namespace {
 // Of scratch memory of threads and libraries, bytes, besides what grows with the budget.
 constexpr std::size_t kPassing = std::size_t{32} << 20;
 
+// Pieces whose rays are traced one after the other: the scene's tree then stays in the processor's cache.
+constexpr std::size_t kTracedTogether = 4;
+
 using Clock = std::chrono::steady_clock;
 double secondsSince(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
@@ -199,7 +202,11 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
 
   // Double sums: with many samples a float would lose digits.
   std::vector<std::array<double, 4>>& sums = s.sums;
-  sums.assign(static_cast<std::size_t>(width) * height, {});
+  sums.resize(static_cast<std::size_t>(width) * height);
+  parallelFor(height, 16, [&](std::size_t begin, std::size_t end) {
+    std::fill(sums.begin() + begin * width, sums.begin() + end * width, std::array<double, 4>{});
+  });
+  lap("resolve");
   Layers layers(s.settings.layers, s.settings.accuracy.views, width, height);
   const int pieces = pixelPieces(camera, plan.pattern.size());
   // Gathered in groups until the budget is full; a group is small against it, and large enough for the threads.
@@ -219,21 +226,33 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
       const std::size_t first = used;
       used += count;
       if (s.blocks.size() < used) s.blocks.resize(used);
-      parallelFor(count, 1, [&](std::size_t begin, std::size_t end) {
+      parallelFor(count, kTracedTogether, [&](std::size_t begin, std::size_t end) {
+        struct Traced {
+          PixelRays rays;
+          RaysMet met;
+        };
+        thread_local std::array<Traced, kTracedTogether> traced;  // for its memory
         for (std::size_t i = begin; i < end; ++i) {
           const auto start = Clock::now();
-          thread_local PixelRays rays;  // for its memory
+          auto& [rays, met] = traced[i - begin];
           raysOfPiece(camera, plan.lens, plan.pattern, plan.cover, next + static_cast<int>(i), rays);
+          deformed.trace(rays.rays, met);  // M10
           PixelBlock& block = s.blocks[first + i];
           block.clear();
           block.seconds[kTrace] += secondsSince(start);
-          s.gather(plan, rays, block, layers.wanted() ? &layers : nullptr, nullptr);
+        }
+        for (std::size_t i = begin; i < end; ++i) {
+          auto& [rays, met] = traced[i - begin];
+          PixelBlock& block = s.blocks[first + i];
+          s.gather(plan, rays, met, block, layers.wanted() ? &layers : nullptr, nullptr);
+          const auto gathered = Clock::now();
+          s.shared.want(block.shading.lights, plan.lighting);
+          block.seconds[kWeights] += secondsSince(gathered);
         }
       });
       std::array<double, kGatherStages.size()> spent{};
       for (std::size_t i = first; i < used; ++i) {
         bytes += s.blocks[i].bytes();
-        s.shared.want(s.blocks[i].shading.lights, plan.lighting);
         for (std::size_t stage = 0; stage < spent.size(); ++stage) spent[stage] += s.blocks[i].seconds[stage];
       }
       std::size_t kept = bytes;  // those of earlier batches that this one has not used count too

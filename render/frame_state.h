@@ -63,10 +63,11 @@ struct FrameRenderer::State {
   State(const std::filesystem::path& srf_folder, const SrfManifest& manifest, const DeformableModel& model,
         const FrameSettings& frame_settings, Reporter& frame_reporter);
 
-  /// `layers` and `explained` may be null: then neither costs anything.
-  void gather(const FramePlan& plan, const PixelRays& in, PixelBlock& out, Layers* layers,
+  /// From what rays met (which it changes) to operations. `layers` and `explained` may be null: then neither costs
+  /// anything.
+  void gather(const FramePlan& plan, const PixelRays& in, RaysMet& rays_met, PixelBlock& out, Layers* layers,
               std::vector<ExplainedHit>* explained) const;
-  void addOperations(std::uint32_t target, const ChosenView& chosen, std::uint32_t lights,
+  void addOperations(std::uint32_t target, const PickedView& picked, std::uint32_t lights,
                      std::vector<ShadingOperation>& out) const;
   /// Fills in the lights of a hit that has views.
   void explainLights(const FrameLights& lights, FrameLighting::Options options, ExplainedHit& hit) const;

@@ -9,6 +9,13 @@ namespace {
 
 constexpr double kLeastCosine = 1e-3;  // of a slant: beyond it a pixel's footprint says nothing
 
+double reachOf(const Camera<ObjectSpace>& camera, const SurfaceHit& hit) {
+  return camera.lens.isOrthographic() ? 1 : hit.distance;
+}
+double slantOf(const LookUp& look_up, const Direction<AcquisitionSpace>& view) {
+  return std::max(std::fabs(dot(look_up.normal, view)), kLeastCosine);
+}
+
 }  // namespace
 
 LevelChoice::LevelChoice(std::span<const SourceView> views, const Box<AcquisitionSpace>& bounds, double texels)
@@ -31,18 +38,22 @@ LevelChoice::LevelChoice(std::span<const SourceView> views, const Box<Acquisitio
   }
 }
 
-void LevelChoice::apply(const Camera<ObjectSpace>& camera, double samples_per_pixel, const SurfaceHit& hit,
-                        const LookUp& look_up, const Direction<AcquisitionSpace>& view,
-                        std::span<ChosenView> chosen) const {
-  if (!(texels_ > 0)) return;
-  const double reach = camera.lens.isOrthographic() ? 1 : hit.distance;
-  const double slant = std::max(std::fabs(dot(look_up.normal, view)), kLeastCosine);
-  // Most samples are far from it, which is known without a root and a division.
+bool LevelChoice::mayApply(const Camera<ObjectSpace>& camera, double samples_per_pixel, const SurfaceHit& hit,
+                           const LookUp& look_up, const Direction<AcquisitionSpace>& view) const {
+  if (!(texels_ > 0)) return false;
+  const double reach = reachOf(camera, hit), slant = slantOf(look_up, view);
   const Vec3 &u = hit.tangents.u.raw(), &v = hit.tangents.v.raw();
   const Vec3 n{u.y * v.z - u.z * v.y, u.z * v.x - u.x * v.z, u.x * v.y - u.y * v.x};
   const double most = reach * reach * densest_,
                least = texels_ * texels_ * camera.lens.fl_x * camera.lens.fl_y * samples_per_pixel * slant;
-  if (most * most < 0.99 * least * least * dot(n, n)) return;
+  return !(most * most < 0.99 * least * least * dot(n, n));
+}
+
+void LevelChoice::apply(const Camera<ObjectSpace>& camera, double samples_per_pixel, const SurfaceHit& hit,
+                        const LookUp& look_up, const Direction<AcquisitionSpace>& view,
+                        std::span<ChosenView> chosen) const {
+  if (!mayApply(camera, samples_per_pixel, hit, look_up, view)) return;
+  const double reach = reachOf(camera, hit), slant = slantOf(look_up, view);
   const double stretch = length(cross(hit.tangents.u, hit.tangents.v).raw());
   // Area of the surface at rest that the sample shows.
   const double area = reach * reach / (camera.lens.fl_x * camera.lens.fl_y * samples_per_pixel * slant * stretch);

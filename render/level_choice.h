@@ -22,6 +22,10 @@ class LevelChoice {
   void apply(const Camera<ObjectSpace>& camera, double samples_per_pixel, const SurfaceHit& hit, const LookUp& look_up,
              const Direction<AcquisitionSpace>& view, std::span<ChosenView> chosen) const;
 
+  /// Whether apply() may do anything for a hit; for most samples the answer costs neither root nor division.
+  bool mayApply(const Camera<ObjectSpace>& camera, double samples_per_pixel, const SurfaceHit& hit,
+                const LookUp& look_up, const Direction<AcquisitionSpace>& view) const;
+
  private:
   std::span<const SourceView> views_;
   double texels_;

@@ -45,6 +45,36 @@ void cells(const float* x, const float* y, const float* z, std::size_t count, in
   }
 }
 
+bool towards(const LitLanes& lit, const Vec3& position, double least_distance, std::size_t count, float* x, float* y,
+             float* z, float* falloff) {
+  const hn::CappedTag<double, kVectorLanes> d;
+  const hn::Rebind<float, decltype(d)> f;
+  const auto one = hn::Set(d, 1.0);
+  float* const to[3] = {x, y, z};
+  bool all = true;
+  for (std::size_t i = 0; i < count; i += hn::Lanes(d)) {
+    const auto tx = hn::Sub(hn::Set(d, position.x), hn::LoadU(d, lit.p_star[0] + i)),
+               ty = hn::Sub(hn::Set(d, position.y), hn::LoadU(d, lit.p_star[1] + i)),
+               tz = hn::Sub(hn::Set(d, position.z), hn::LoadU(d, lit.p_star[2] + i));
+    const auto dotted = [&](auto ax, auto ay, auto az) {
+      return hn::Add(hn::Add(hn::Mul(ax, tx), hn::Mul(ay, ty)), hn::Mul(az, tz));
+    };
+    const auto squared = dotted(tx, ty, tz);
+    const auto ordinary =
+        hn::And(hn::Gt(squared, hn::Set(d, kOrdinarySquares[0])), hn::Lt(squared, hn::Set(d, kOrdinarySquares[1])));
+    all &= hn::AllTrue(d, hn::Or(ordinary, hn::Not(hn::FirstN(d, count - i))));
+    const auto distance = hn::Sqrt(squared), inverse = hn::Div(one, distance);
+    for (int k = 0; k < 3; ++k) {
+      const double* const* const row = lit.l + 3 * k;
+      const auto along = dotted(hn::LoadU(d, row[0] + i), hn::LoadU(d, row[1] + i), hn::LoadU(d, row[2] + i));
+      hn::StoreU(hn::DemoteTo(f, hn::Mul(along, inverse)), f, to[k] + i);
+    }
+    const auto attenuated = hn::Max(distance, hn::Set(d, least_distance));
+    hn::StoreU(hn::DemoteTo(f, hn::Div(one, hn::Mul(attenuated, attenuated))), f, falloff + i);
+  }
+  return all;
+}
+
 template <int kNearest>
 void nearestOf(const LightCells& cells, const float* x, const float* y, const float* z, const std::int32_t* cell,
                std::size_t count, std::size_t stride, float* weight, std::uint32_t* light) {
@@ -174,11 +204,16 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace srf {
 HWY_EXPORT(cells);
+HWY_EXPORT(towards);
 HWY_EXPORT(nearest);
 HWY_EXPORT(orientations);
 
 void lightCells(const float* x, const float* y, const float* z, std::size_t count, int resolution, std::int32_t* cell) {
   HWY_DYNAMIC_DISPATCH(cells)(x, y, z, count, resolution, cell);
+}
+bool towardsLight(const LitLanes& lit, const Vec3& position, double least_distance, std::size_t count, float* x,
+                  float* y, float* z, float* falloff) {
+  return HWY_DYNAMIC_DISPATCH(towards)(lit, position, least_distance, count, x, y, z, falloff);
 }
 void nearestWeights(const LightCells& of, const float* x, const float* y, const float* z, const std::int32_t* cell,
                     std::size_t count, int k, std::size_t stride, float* weight, std::uint32_t* light) {

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "base/vec.h"
 #include "render/vector_lanes.h"
 
 namespace srf {
@@ -21,6 +22,18 @@ inline constexpr int kMostNearest = 8;  ///< the largest k that nearestWeights k
 /// cell[i] = that of the unit vector (x, y, z)[i]. A direction within some 1e-7 of a border may be given to either
 /// side; the lists of candidates have room for that.
 void lightCells(const float* x, const float* y, const float* z, std::size_t count, int resolution, std::int32_t* cell);
+
+/// Lit points: p* and the rows of L.
+struct LitLanes {
+  const double* p_star[3];
+  const double* l[9];
+};
+/// Of a point light at `position` what FrameLighting knows of it at hits: its direction in acquisition space as floats,
+/// and the reciprocal of its squared distance, which is at least `least_distance`. False: some lengths need more care,
+/// those whose squares lie outside kOrdinarySquares. The same bits as the scalar form.
+bool towardsLight(const LitLanes& lit, const Vec3& position, double least_distance, std::size_t count, float* x,
+                  float* y, float* z, float* falloff);
+inline constexpr double kOrdinarySquares[2] = {1e-250, 1e250};
 
 /// The weights of the k nearest lights (AcquiredLights::nearest) of each unit vector, each list of which has more than
 /// k candidates: weight[j * stride + i] of light[j * stride + i], j < k; all 0 where the k + 1 nearest tie. Off by at

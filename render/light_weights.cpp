@@ -11,12 +11,7 @@ namespace {
 /// The key of a frame's only orientation; no corner of the grid has it.
 constexpr std::uint64_t kOnlyOrientation = ~std::uint64_t{0};
 
-/// The key's position in `wanted`.
-std::uint32_t wantedVector(const SharedKey& key, LightGather& out) {
-  const auto [entry, added] = out.known.try_emplace(key, static_cast<std::uint32_t>(out.wanted.size()));
-  if (added) out.wanted.push_back(key);
-  return entry->second;
-}
+constexpr std::size_t kChunkLines = 1024;  // of shared vectors that are allocated together
 
 }  // namespace
 
@@ -64,12 +59,12 @@ std::uint32_t LightGather::append(LightWeights w, int lights) {
 
 void LightGather::clear() {
   weights.clear(), entries.clear(), own.clear();
-  wanted.clear(), vectors.clear(), known.clear();
+  wanted.clear(), vectors.clear();
 }
 
 std::size_t LightGather::bytes() const {
   return weights.capacity() * sizeof(LightWeights) + entries.capacity() * sizeof(LightEntry) +
-         own.capacity() * sizeof(float) + wanted.capacity() * (sizeof(SharedKey) + sizeof(float*) + 48);
+         own.capacity() * sizeof(float) + wanted.bytes() + vectors.capacity() * sizeof(float*);
 }
 
 FrameLighting::FrameLighting(const FrameLights& lights, std::span<const AcquiredLights> lists, const Options& options)
@@ -135,7 +130,7 @@ void FrameLighting::noteShared(std::uint32_t list, const LitPoint& point, LightG
         w.shared[i] = last->shared[j];
         found = true;
       }
-    if (!found) w.shared[i] = wantedVector(key, out);
+    if (!found) w.shared[i] = out.wanted.numberOf(key);
   }
 }
 
@@ -143,7 +138,8 @@ std::pair<Direction<AcquisitionSpace>, Vec3> FrameLighting::nearLightAt(const Ne
                                                                         const LitPoint& point) const {
   const Vector<ObjectSpace> to_light = light.position - point.p_star;
   const double d = std::max(length(to_light), options_.min_distance);
-  const Direction<ObjectSpace> direction = normalize(to_light).value_or(point.normal);
+  const auto towards = normalize(to_light);
+  const Direction<ObjectSpace> direction = towards ? *towards : point.normal();
   return {point.acquisition_from_object * direction, light.intensity / (d * d)};  // Eq. 11: A(|p* - p_l|) I_l
 }
 
@@ -198,25 +194,38 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
   const std::size_t count = wanted.size(), stride = paddedLanes(count), lights = lights_.near_lights.size();
   const int k = list.k();
   struct Memory {
-    std::vector<float> lanes, weight;
+    std::vector<double> lit;
+    std::vector<float> lanes, falloff, weight;
     std::vector<std::int32_t> cell;
     std::vector<std::uint32_t> light;
     std::vector<Rgb> irradiance;
   };
   thread_local Memory memory;
+  memory.lit.resize(12 * stride);
   memory.lanes.resize(12 * stride);
+  memory.falloff.resize(stride);
   memory.cell.resize(4 * stride);
   float* const lane = memory.lanes.data();
+  for (std::size_t i = 0; i < count; ++i) {
+    const LitPoint& point = points[wanted[i].point];
+    const Vec3& p_star = point.p_star.raw();
+    const Mat3& l = point.acquisition_from_object.raw();
+    double* const to = memory.lit.data() + i;
+    for (int k = 0; k < 3; ++k) to[k * stride] = p_star[k];
+    for (int k = 0; k < 9; ++k) to[(3 + k) * stride] = l.row[k / 3][k % 3];
+  }
+  LitLanes lit;
+  for (int k = 0; k < 3; ++k) lit.p_star[k] = memory.lit.data() + k * stride;
+  for (int k = 0; k < 9; ++k) lit.l[k] = memory.lit.data() + (3 + k) * stride;
 
   const bool on_grid = shares(list_index) && !options_.only_orientation;
   OrientationCells where{};
   if (on_grid) {
     OrientationLanes in{};
-    for (int j = 0; j < 9; ++j) {
-      float* const m = lane + j * stride;
-      for (std::size_t i = 0; i < count; ++i)
-        m[i] = static_cast<float>(points[wanted[i].point].acquisition_from_object.raw().row[j / 3][j % 3]);
-      in.m[j] = m;
+    for (int k = 0; k < 9; ++k) {
+      float* const m = lane + k * stride;
+      for (std::size_t i = 0; i < count; ++i) m[i] = static_cast<float>(lit.l[k][i]);
+      in.m[k] = m;
     }
     where = {memory.cell.data(),
              {memory.cell.data() + stride, memory.cell.data() + 2 * stride, memory.cell.data() + 3 * stride},
@@ -245,7 +254,7 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
     w.share = blend.share;
     for (int c = 0; c < 4; ++c) {
       if (!(blend.share[c] > 0)) continue;
-      if (ids[c] == LightWeights::kNone) ids[c] = wantedVector({list_index, blend.corner[c]}, out);
+      if (ids[c] == LightWeights::kNone) ids[c] = out.wanted.numberOf({list_index, blend.corner[c]});
       w.shared[c] = ids[c];
     }
   }
@@ -258,25 +267,22 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
     const NearLight& light = lights_.near_lights[l];
     const auto red = static_cast<float>(light.intensity.x), green = static_cast<float>(light.intensity.y),
                blue = static_cast<float>(light.intensity.z);
+    Rgb* const irradiance = &memory.irradiance[l * stride];
+    const bool ordinary =
+        towardsLight(lit, light.position.raw(), options_.min_distance, count, x, y, z, memory.falloff.data());
     for (std::size_t i = 0; i < count; ++i) {
+      const float falloff = memory.falloff[i];
+      irradiance[i] = {red * falloff, green * falloff, blue * falloff};
+    }
+    for (std::size_t i = 0; i < count && !ordinary; ++i) {
       const LitPoint& point = points[wanted[i].point];
       const Vec3 to_light = (light.position - point.p_star).raw();
       const double squared = dot(to_light, to_light);
-      Rgb& e = memory.irradiance[l * stride + i];
-      if (squared > 1e-250 && squared < 1e250) {  // nearLightAt, where no length needs care
-        const double distance = std::sqrt(squared), inverse = 1 / distance;
-        const Vec3 d = point.acquisition_from_object.raw() * to_light;
-        x[i] = static_cast<float>(d.x * inverse), y[i] = static_cast<float>(d.y * inverse);
-        z[i] = static_cast<float>(d.z * inverse);
-        const double attenuated = std::max(distance, options_.min_distance);
-        const auto falloff = static_cast<float>(1 / (attenuated * attenuated));
-        e[0] = red * falloff, e[1] = green * falloff, e[2] = blue * falloff;
-        continue;
-      }
-      const auto [direction, irradiance] = nearLightAt(light, point);
+      if (squared > kOrdinarySquares[0] && squared < kOrdinarySquares[1]) continue;
+      const auto [direction, e] = nearLightAt(light, point);
       const Vec3& d = direction.raw();
       x[i] = static_cast<float>(d.x), y[i] = static_cast<float>(d.y), z[i] = static_cast<float>(d.z);
-      e = {static_cast<float>(irradiance.x), static_cast<float>(irradiance.y), static_cast<float>(irradiance.z)};
+      irradiance[i] = {static_cast<float>(e.x), static_cast<float>(e.y), static_cast<float>(e.z)};
     }
     for (std::size_t i = count; i < stride; ++i) x[i] = y[i] = 0, z[i] = 1;
     lightCells(x, y, z, count, cells.resolution, memory.cell.data());
@@ -359,37 +365,52 @@ void FrameLighting::computeShared(const SharedKey& key, float* vector, std::uint
 
 void SharedLightVectors::prepare(const FrameLighting& lighting) {
   if (lighting.sharesLike(distant_, only_orientation_)) return;
-  clear();
+  keys_.clear(), vectors_.clear();
+  filled_ = chunk_ = used_ = 0;
   distant_ = lighting.lights().distant;
   only_orientation_ = lighting.options().only_orientation;
 }
 
 void SharedLightVectors::clear() {
-  vectors_.clear();
-  pending_.clear();
+  keys_ = SharedKeys(), vectors_ = std::vector<float*>();
+  chunks_.clear();
+  filled_ = chunk_ = used_ = 0;
   bytes_ = 0;
+}
+
+float* SharedLightVectors::room(std::size_t floats) {
+  const std::size_t lines = (floats + std::size(Line().value) - 1) / std::size(Line().value);
+  while (chunk_ < chunks_.size() && used_ + lines > chunks_[chunk_].lines) ++chunk_, used_ = 0;
+  if (chunk_ == chunks_.size()) {
+    const std::size_t size = std::max(kChunkLines, lines);
+    chunks_.push_back({size, std::make_unique_for_overwrite<Line[]>(size)});
+    bytes_ += size * sizeof(Line);
+  }
+  float* const at = chunks_[chunk_].memory[used_].value;
+  used_ += lines;
+  return at;
 }
 
 void SharedLightVectors::want(LightGather& gather, const FrameLighting& lighting) {
   gather.vectors.clear();
-  for (const SharedKey& key : gather.wanted) {
-    const auto [entry, added] = vectors_.try_emplace(key);
-    if (added) {
-      const std::size_t floats = 3 * static_cast<std::size_t>(lightPad(lighting.lists()[key.list].count()));
-      entry->second = std::make_unique_for_overwrite<float[]>(floats);
-      bytes_ += floats * sizeof(float) + 96;  // and the table's node
-      pending_.emplace_back(key, entry->second.get());
-    }
-    gather.vectors.push_back(entry->second.get());
+  gather.vectors.reserve(gather.wanted.size());
+  const std::lock_guard lock(wanting_);
+  for (std::size_t i = 0; i < gather.wanted.size(); ++i) {
+    const SharedKey& key = gather.wanted[i];
+    const std::uint32_t number = keys_.numberOf(key);
+    if (number == vectors_.size())
+      vectors_.push_back(room(3 * static_cast<std::size_t>(lightPad(lighting.lists()[key.list].count()))));
+    gather.vectors.push_back(vectors_[number]);
   }
 }
 
 void SharedLightVectors::compute(const FrameLighting& lighting) {
-  parallelFor(pending_.size(), 4, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) lighting.computeShared(pending_[i].first, pending_[i].second);
+  const std::size_t first = filled_;
+  parallelFor(keys_.size() - first, 4, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = first + begin; i < first + end; ++i) lighting.computeShared(keys_[i], vectors_[i]);
   });
-  computed_ += pending_.size();
-  pending_.clear();
+  computed_ += keys_.size() - first;
+  filled_ = keys_.size();
 }
 
 }  // namespace srf

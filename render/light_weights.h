@@ -7,9 +7,9 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <span>
-#include <unordered_map>
 #include <vector>
 
 #include "base/transform.h"
@@ -17,6 +17,7 @@
 #include "render/light_set.h"
 #include "render/orientation_grid.h"
 #include "render/reflectance_dot.h"
+#include "render/shared_keys.h"
 
 namespace srf {
 
@@ -24,18 +25,6 @@ namespace srf {
 constexpr int lightPad(int count) {
   return (count + 15) / 16 * 16;
 }
-
-/// Names a vector that many hits share: the distant lights seen through one orientation of L by one list of lights.
-struct SharedKey {
-  std::uint32_t list = 0;
-  std::uint64_t corner = 0;
-  friend bool operator==(const SharedKey&, const SharedKey&) = default;
-};
-struct SharedKeyHash {
-  std::size_t operator()(const SharedKey& key) const {
-    return (key.corner * 0x9e3779b97f4a7c15u ^ key.list) * 0xff51afd7ed558ccdu;
-  }
-};
 
 /// The weights of one list of lights at one hit: a blend of shared vectors, plus a vector of its own or a few entries.
 struct LightWeights {
@@ -51,9 +40,8 @@ struct LightGather {
   std::vector<LightWeights> weights;
   std::vector<LightEntry> entries;
   std::vector<float> own;
-  std::vector<SharedKey> wanted;      ///< each once
+  SharedKeys wanted;
   std::vector<const float*> vectors;  ///< of `wanted`: SharedLightVectors
-  std::unordered_map<SharedKey, std::uint32_t, SharedKeyHash> known;
   std::vector<Penalised> scratch;
   std::vector<Weighted> nearest;
 
@@ -76,7 +64,9 @@ struct LitPoint {
   Point<AcquisitionSpace> p;
   Point<ObjectSpace> p_star;
   Orthogonal<AcquisitionSpace, ObjectSpace> acquisition_from_object;  ///< L
-  Direction<ObjectSpace> normal;
+  Direction<AcquisitionSpace> n0;
+
+  Direction<ObjectSpace> normal() const { return acquisition_from_object.inverse() * n0; }
 };
 
 /// The lights of one frame against the lists of acquired lights.
@@ -154,18 +144,33 @@ class SharedLightVectors {
   void prepare(const FrameLighting& lighting);
   void clear();
   /// Tells where the vectors lie that are wanted, and notes those that are not held yet: they are filled by compute().
+  /// Threads may ask at once.
   void want(LightGather& gather, const FrameLighting& lighting);
   /// Computes what is noted, in parallel.
   void compute(const FrameLighting& lighting);
-  std::size_t bytes() const { return bytes_; }
+  std::size_t bytes() const { return bytes_ + keys_.bytes() + vectors_.capacity() * sizeof(float*); }
   std::uint64_t computed() const { return computed_; }
 
  private:
-  std::unordered_map<SharedKey, std::unique_ptr<float[]>, SharedKeyHash> vectors_;
-  std::vector<std::pair<SharedKey, float*>> pending_;
+  struct alignas(64) Line {
+    float value[16];
+  };
+  struct Chunk {
+    std::size_t lines;
+    std::unique_ptr<Line[]> memory;
+  };
+  /// Room for so many floats, whole cache lines.
+  float* room(std::size_t floats);
+
+  std::mutex wanting_;
+  SharedKeys keys_;
+  std::vector<float*> vectors_;  ///< of each key
+  std::size_t filled_ = 0;       ///< of them
+  std::vector<Chunk> chunks_;
+  std::size_t chunk_ = 0, used_ = 0;  ///< where there is room: lines of that chunk in use
   std::vector<DistantLight> distant_;
   std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> only_orientation_;
-  std::size_t bytes_ = 0;
+  std::size_t bytes_ = 0;  ///< of the chunks
   std::uint64_t computed_ = 0;
 };
 

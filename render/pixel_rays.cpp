@@ -39,7 +39,7 @@ namespace {
 constexpr int kBlockPixels = kPixelBlock * kPixelBlock;
 // A packet of rays traces the faster the closer they lie: 4 x 4 pixels one after the other.
 constexpr int kPacketSide = 4, kPacketPixels = kPacketSide * kPacketSide;
-static_assert(kPixelBlock % kPacketSide == 0);
+static_assert(kPixelBlock % kPacketSide == 0 && ScreenCover::kCell % kPacketSide == 0);
 
 struct PixelInBlock {
   int x, y;
@@ -59,10 +59,10 @@ bool plainPinhole(const Intrinsics& lens) {
          ordinary(lens.width, lens.height);
 }
 
-/// Appends the rays of a pinhole through `count` places of its picture, as Camera::ray has them; changes the places.
-/// Plain operations, which compilers make wide.
+/// The rays of a pinhole through `count` places of its picture, as Camera::ray has them; changes the places. Plain
+/// operations, which compilers make wide.
 void castPinhole(const Camera<ObjectSpace>& camera, std::size_t count, double* x, double* y, double* z,
-                 std::vector<Ray<ObjectSpace>>& rays) {
+                 Ray<ObjectSpace>* rays) {
   const Intrinsics& lens = camera.lens;
   const Mat3& rotation = camera.pose.rotation().raw();
   for (std::size_t i = 0; i < count; ++i) {
@@ -72,7 +72,7 @@ void castPinhole(const Camera<ObjectSpace>& camera, std::size_t count, double* x
     x[i] = dot(rotation.row[0], towards), y[i] = dot(rotation.row[1], towards), z[i] = dot(rotation.row[2], towards);
   }
   for (std::size_t i = 0; i < count; ++i)
-    rays.push_back({camera.pose.origin(), Direction<ObjectSpace>::fromUnit({x[i], y[i], z[i]})});
+    rays[i] = {camera.pose.origin(), Direction<ObjectSpace>::fromUnit({x[i], y[i], z[i]})};
 }
 
 int blocksAlong(int pixels) {
@@ -100,31 +100,55 @@ void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens
   const int block = piece / pieces, first = piece % pieces * pixels, end = std::min(first + pixels, kBlockPixels);
   const int blocks_x = blocksAlong(camera.lens.width);
   const int x0 = block % blocks_x * kPixelBlock, y0 = block / blocks_x * kPixelBlock;
-  result.rays.clear();
-  result.pixel.clear();
-  result.rays.reserve((end - first) * pattern.size());
-  result.pixel.reserve((end - first) * pattern.size());
   const bool pinhole = !lens && plainPinhole(camera.lens);
+  const std::size_t most = (end - first) * pattern.size();
+  result.rays.resize(pinhole ? most : 0);
+  result.pixel.resize(pinhole ? most : 0);
   constexpr std::size_t kAtOnce = 64;
   double to_x[kAtOnce], to_y[kAtOnce], to_z[kAtOnce];
-  std::size_t count = 0;
-  for (int i = first; i < end; ++i) {
-    const PixelInBlock at = pixelInBlock(i);
-    const int x = x0 + at.x, y = y0 + at.y;
-    if (!(x < camera.lens.width && y < camera.lens.height && cover.covers(x, y))) continue;
-    if (!pinhole) {
-      result.add(camera, lens, pattern, x, y);
+  std::size_t count = 0, cast = 0;  // of a pinhole: places, and of them those that have a ray
+  const auto castThem = [&] {
+    castPinhole(camera, count - cast, to_x, to_y, to_z, result.rays.data() + cast);
+    cast = count;
+  };
+  for (int i = first, stop = first; i < end; i = stop) {
+    stop = std::min(end, (i / kPacketPixels + 1) * kPacketPixels);
+    const PixelInBlock corner = pixelInBlock(i / kPacketPixels * kPacketPixels);
+    const int left = x0 + corner.x, top = y0 + corner.y;
+    if (!(left < camera.lens.width && top < camera.lens.height && cover.covers(left, top))) continue;
+    const bool inside = left + kPacketSide <= camera.lens.width && top + kPacketSide <= camera.lens.height;
+    if (pinhole && inside && pattern.size() == 1 && stop - i == kPacketPixels) {
+      double *const to_left = to_x + (count - cast), *const to_top = to_y + (count - cast);
+      std::uint32_t* const pixel = result.pixel.data() + count;
+      for (int k = 0; k < kPacketPixels; ++k) {
+        const int x = left + k % kPacketSide, y = top + k / kPacketSide;
+        to_left[k] = x + pattern[0].x, to_top[k] = y + pattern[0].y;
+        pixel[k] = static_cast<std::uint32_t>(y * camera.lens.width + x);
+      }
+      count += kPacketPixels;
+      if (count - cast == kAtOnce) castThem();
       continue;
     }
-    for (const Vec2& place : pattern) {
-      to_x[count] = x + place.x, to_y[count] = y + place.y;
-      result.pixel.push_back(static_cast<std::uint32_t>(y * camera.lens.width + x));
-      if (++count < kAtOnce) continue;
-      castPinhole(camera, count, to_x, to_y, to_z, result.rays);
-      count = 0;
+    for (int k = i; k < stop; ++k) {
+      const PixelInBlock at = pixelInBlock(k);
+      const int x = x0 + at.x, y = y0 + at.y;
+      if (!(x < camera.lens.width && y < camera.lens.height)) continue;
+      if (!pinhole) {
+        result.add(camera, lens, pattern, x, y);
+        continue;
+      }
+      for (const Vec2& place : pattern) {
+        to_x[count - cast] = x + place.x, to_y[count - cast] = y + place.y;
+        result.pixel[count++] = static_cast<std::uint32_t>(y * camera.lens.width + x);
+        if (count - cast == kAtOnce) castThem();
+      }
     }
+    if (count - cast > kAtOnce - kPacketPixels) castThem();  // room for a packet
   }
-  castPinhole(camera, count, to_x, to_y, to_z, result.rays);
+  if (!pinhole) return;
+  castThem();
+  result.rays.resize(count);
+  result.pixel.resize(count);
 }
 
 }  // namespace srf

@@ -13,12 +13,13 @@ namespace srf {
 /// covers everything where nothing is known (surfels; triangles that reach behind the camera).
 class ScreenCover {
  public:
+  static constexpr int kCell = 4;
+
   ScreenCover() = default;  ///< covers everything
   ScreenCover(const Camera<ObjectSpace>& camera, const DeformedModel& deformed);
   bool covers(int x, int y) const { return all_ || cells_[static_cast<std::size_t>(y / kCell) * across_ + x / kCell]; }
 
  private:
-  static constexpr int kCell = 4;
   int across_ = 0, down_ = 0;
   bool all_ = true;
   std::vector<std::uint8_t> cells_;

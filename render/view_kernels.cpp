@@ -199,8 +199,8 @@ void place(const PlacedView* views, const WholeTexels& texels, const std::int32_
         dot(hn::LoadU(d, hits.nx + i), hn::LoadU(d, hits.ny + i), hn::LoadU(d, hits.nz + i), tx, ty, tz);
     hn::StoreU(hn::Sqrt(hn::Min(one, hn::Max(hn::Set(d, least_foreshortening), facing))), d, out.foreshortening + i);
 
-    const auto x = hn::IfThenElse(lens.orthographic, qx, hn::Div(qx, qz)),
-               y = hn::IfThenElse(lens.orthographic, qy, hn::Div(qy, qz));
+    const auto along = hn::IfThenElse(lens.orthographic, one, hn::Div(one, qz));
+    const auto x = hn::Mul(qx, along), y = hn::Mul(qy, along);
     const auto pixel_x = hn::Add(hn::Add(hn::Mul(lens.fl_x, x), hn::Mul(lens.skew, y)), lens.cx);
     const auto pixel_y = hn::Add(hn::Mul(lens.fl_y, y), lens.cy);
     hn::StoreU(pixel_x, d, out.pixel_x + i);

@@ -243,8 +243,21 @@ void ViewSelection::choose(std::size_t pair, double weight, const Scratch& s, Ch
   if (s.fetch[pair] != kWhole) chosen.views.back().fetch = s.fetches[s.fetch[pair]];
 }
 
+PickedView ViewSelection::picked(std::size_t pair, double weight, const Scratch& s) const {
+  const PickedView whole{static_cast<std::uint32_t>(s.view[pair]),
+                         static_cast<float>(weight),
+                         s.texels[1][pair],
+                         s.texels[2][pair],
+                         0,
+                         true,
+                         &s.tap[4 * pair]};
+  if (s.fetch[pair] == kWhole) return whole;
+  const Fetch& fetch = s.fetches[s.fetch[pair]];
+  return {whole.view, whole.weight, fetch.x, fetch.y, fetch.level, fetch.covered > 0, fetch.tap};
+}
+
 void ViewSelection::selectSome(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s,
-                               Chosen& chosen) const {
+                               Chosen& chosen, const Take& take, std::size_t first_hit) const {
   const std::size_t hits = queries.size(), ranks = nearViews();
   readHits(queries, allowed, s);
   s.bounds.resize(s.views.size() * kAtOnce);
@@ -266,7 +279,18 @@ void ViewSelection::selectSome(std::span<const ViewQuery> queries, std::span<con
     Result result = Result::seen;
     const std::size_t first = chosen.views.size();
     if (enough && s.taken[h] > 0) {
-      for (std::size_t r = 0; r < static_cast<std::size_t>(s.taken[h]); ++r)
+      const auto count = static_cast<std::size_t>(s.taken[h]);
+      if (take) {
+        PickedView views[kMostNearViews];
+        for (std::size_t r = 0; r < count; ++r)
+          views[r] = picked(static_cast<std::size_t>(s.chosen_pair[r * kAtOnce + h]), s.weight[r * kAtOnce + h], s);
+        if (take(first_hit + h, {views, count})) {
+          chosen.result.push_back(result);
+          chosen.first.push_back(static_cast<std::uint32_t>(first));
+          continue;
+        }
+      }
+      for (std::size_t r = 0; r < count; ++r)
         choose(static_cast<std::size_t>(s.chosen_pair[r * kAtOnce + h]), s.weight[r * kAtOnce + h], s, chosen);
     } else {
       rankAll(queries[h], h, s);
@@ -302,17 +326,17 @@ void ViewSelection::selectSome(std::span<const ViewQuery> queries, std::span<con
 }
 
 void ViewSelection::select(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s,
-                           Chosen& chosen) const {
+                           Chosen& chosen, const Take& take) const {
   chosen.views.clear();
   chosen.first.assign(1, 0);
   chosen.result.clear();
-  chosen.views.reserve(queries.size() * k_);
+  if (!take) chosen.views.reserve(queries.size() * k_);
   chosen.first.reserve(queries.size() + 1);
   chosen.result.reserve(queries.size());
   s.chosen_pair.resize(static_cast<std::size_t>(k_) * kAtOnce);
   s.weight.resize(static_cast<std::size_t>(k_) * kAtOnce);
   for (std::size_t begin = 0; begin < queries.size(); begin += kAtOnce)
-    selectSome(queries.subspan(begin, std::min(kAtOnce, queries.size() - begin)), allowed, s, chosen);
+    selectSome(queries.subspan(begin, std::min(kAtOnce, queries.size() - begin)), allowed, s, chosen, take, begin);
 }
 
 bool ViewSelection::standIn(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& s,

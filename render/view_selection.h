@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <functional>
 #include <limits>
 #include <span>
 #include <vector>
@@ -31,6 +32,15 @@ struct ChosenView {
   double penalty = 0;         ///< viewPenalty; infinite for one that stands in where no view sees p
   double foreshortening = 1;  ///< root of n0 . v_i, kept above a little: in the weight
   Fetch fetch;
+};
+
+/// What shading needs of a chosen view.
+struct PickedView {
+  std::uint32_t view;
+  float weight;
+  int x, y, level;  ///< as Fetch has them
+  bool covered;     ///< at all
+  const float* tap;
 };
 
 class ViewSelection {
@@ -89,16 +99,20 @@ class ViewSelection {
       return std::span(views).subspan(first[hit], first[hit + 1] - first[hit]);
     }
   };
-  /// Chooses the views of hits; what a hit gets does not depend on the others. `allowed[i]`: view i may be used.
+  /// Is shown a hit's views where they are settled at once, as most are, and does with them what is to be done: true.
+  /// Otherwise they are wanted as ChosenView.
+  using Take = std::function<bool(std::size_t hit, std::span<const PickedView>)>;
+  /// Chooses the views of hits; what a hit gets does not depend on the others. `allowed[i]`: view i may be used. Of
+  /// hits that are taken no views are in `chosen`.
   void select(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& scratch,
-              Chosen& chosen) const;
+              Chosen& chosen, const Take& take = {}) const;
 
   const std::vector<SourceView>& views() const { return views_; }
 
  private:
-  /// The same of at most Scratch::kAtOnce hits, whose views are appended.
+  /// The same of at most Scratch::kAtOnce hits from `first` on, whose views are appended.
   void selectSome(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& scratch,
-                  Chosen& chosen) const;
+                  Chosen& chosen, const Take& take, std::size_t first) const;
   /// Puts hits side by side, with the views that see some of them.
   void readHits(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s) const;
   /// The weight of the hit's points that the view sees.
@@ -112,6 +126,7 @@ class ViewSelection {
   void ask(const ViewQuery& query, const HitLanes& from, std::size_t i, std::size_t pair, Scratch& s) const;
   /// Ranks all views that may be among the k + 1 nearest of hit h, or tie with them.
   void rankAll(const ViewQuery& query, std::size_t h, Scratch& s) const;
+  PickedView picked(std::size_t pair, double weight, const Scratch& s) const;
   void choose(std::size_t pair, double weight, const Scratch& s, Chosen& chosen) const;
   /// The nearest picture by angle that covers p, where no view sees it.
   bool standIn(const ViewQuery& query, std::span<const std::uint8_t> allowed, Scratch& s, ChosenView& chosen) const;
