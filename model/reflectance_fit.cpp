@@ -39,8 +39,9 @@ constexpr int kDoubtedLights = 2;  // more in shadow, so that one alone tells li
 // highlight or a lit surface that a pixel's blur carries into the shadow is under one to four.
 constexpr double kLostLittle = 0.1, kLostMuch = 0.2;
 constexpr double kFewLose = 5, kManyLose = 8;
-constexpr double kOffReach = 2;  // of aroundReach: where a hull is off, so is what lies around it
-constexpr int kRounds = 3;       // of robust weights
+constexpr double kSamplesThatTell = 12;  // whether guidance helps at a point
+constexpr double kOffReach = 2;          // of aroundReach: where a hull is off, so is what lies around it
+constexpr int kRounds = 3;               // of robust weights
 constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
 
 struct Roughness {
@@ -333,8 +334,17 @@ void dropNarrow(VisibilityBits& bits, const std::vector<Triangle>& triangles) {
 
 /// Squares of a point's errors and samples, weighted.
 struct PointError {
-  double plain = 0, guided = 0, square = 0;  ///< one light left out
-  double sum_plain = 0, sum_guided = 0;      ///< of the sum over the lights, one view left out
+  struct Ways {
+    double plain = 0, guided = 0;
+    Ways& operator+=(const Ways& other) {
+      plain += other.plain, guided += other.guided;
+      return *this;
+    }
+  };
+  Ways light, both, view;  ///< left out
+  Ways sum;                ///< of the sum over the lights, one view left out
+  double square = 0;
+  int samples = 0;  ///< lit ones
 };
 
 // The error with the residuals that the point takes: squared, or of a sum.
@@ -350,6 +360,28 @@ double gateOf(double guided, double plain, double open = 0.9) {
   return smoothstep(0, 1, (kShut - guided / plain) / (kShut - open));
 }
 
+// At a point of few samples chance tells more than they do: it is judged together with as many samples as suffice that
+// err as the object's points do in the mean.
+void openGates(std::span<const PointError> errors, std::vector<FittedPoint>& fitted) {
+  PointError all;
+  for (const PointError& e : errors) {
+    all.light += e.light, all.both += e.both, all.view += e.view;
+    all.square += e.square;
+  }
+  if (!(all.square > 0)) return;
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    const PointError& e = errors[i];
+    if (e.samples == 0) continue;
+    const double others = kSamplesThatTell / e.samples * e.square / all.square;
+    const auto gate = [&](const PointError::Ways& own, const PointError::Ways& of_all, double open) {
+      return gateOf(std::sqrt(own.guided + others * of_all.guided), std::sqrt(own.plain + others * of_all.plain), open);
+    };
+    // Under a captured light, where both return the photographs of a matt surface, open where it does not harm.
+    fitted[i].gate = static_cast<float>(
+        std::min({gate(e.light, all.light, 0.9), gate(e.both, all.both, 0.9), gate(e.view, all.view, 1)}));
+  }
+}
+
 // Where a hull lies off the object each view's photographs are of another point of it. A model fitted to all of them
 // may still foretell a light a little better than its neighbours do, and is then wrong to the same side under all: a
 // sky adds that up. So what guidance gains under one light it must not lose under all at once, from a view that is left
@@ -360,11 +392,9 @@ void closeOffTheObject(const std::vector<Point<AcquisitionSpace>>& points, doubl
   parallelFor(points.size(), kChunk, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       PointError sum;
-      around(i, [&](std::uint32_t j) {
-        sum.plain += errors[j].plain, sum.guided += errors[j].guided;
-        sum.sum_plain += errors[j].sum_plain, sum.sum_guided += errors[j].sum_guided;
-      });
-      const double guided = std::sqrt(sum.guided * sum.sum_guided), plain = std::sqrt(sum.plain * sum.sum_plain);
+      around(i, [&](std::uint32_t j) { sum.light += errors[j].light, sum.sum += errors[j].sum; });
+      const double guided = std::sqrt(sum.light.guided * sum.sum.guided),
+                   plain = std::sqrt(sum.light.plain * sum.sum.plain);
       fitted[i].gate = std::min(fitted[i].gate, static_cast<float>(gateOf(guided, plain)));
     }
   });
@@ -478,12 +508,6 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
                      by_square = std::sqrt(e.view_slanted[1]);
         fitted.slant = static_cast<float>(
             0.5 * (gateOf(by_cosine, by_root, 1) + gateOf(by_square, by_cosine, 1) * gateOf(by_square, by_root, 1)));
-        // Under a captured light, where both return the photographs of a matt surface, open where it does not harm.
-        const auto gate = [&](const HoldoutError::Case& of, double open) {
-          return gateOf(std::sqrt(guidedError(of, fitted)), std::sqrt(of.plain), open);
-        };
-        fitted.gate =
-            static_cast<float>(std::min({gate(e.all.light, 0.9), gate(e.all.both, 0.9), gate(e.all.view, 1)}));
         const double lights_asked = std::max<double>(1, e.by_light.size());
         const auto harmed = [&](const HoldoutError::Case& one, const HoldoutError::Case& all) {
           return guidedError(one, fitted) > kHarm * one.plain + kSlack * all.plain / lights_asked;
@@ -492,22 +516,26 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
           if (is_hull && (harmed(cases.light, e.all.light) || harmed(cases.both, e.all.both) ||
                           harmed(cases.view, e.all.view) || harmed(cases.beside, e.all.beside)))
             fit.worse.set(i, light.value);
-        errors[i] = {e.all.light.plain, guidedError(e.all.light, fitted), e.square};
+        const auto ways = [&](const HoldoutError::Case& of) {
+          return PointError::Ways{of.plain, guidedError(of, fitted)};
+        };
+        errors[i] = {ways(e.all.light), ways(e.all.both), ways(e.all.view), {}, e.square, point.litSamples()};
         for (const HoldoutError::Sum& sum : e.sums) {
-          errors[i].sum_plain += sum.weight * square(sum.both.plain);
-          errors[i].sum_guided += sum.weight * square(guidedError(sum.both, fitted));
+          errors[i].sum.plain += sum.weight * square(sum.both.plain);
+          errors[i].sum.guided += sum.weight * square(guidedError(sum.both, fitted));
         }
       }
       stage.advance(end - begin);
     });
   }
   dropNarrow(fit.worse, model.triangles);
+  openGates(errors, fit.points);
   if (const double reach = kOffReach * aroundReach(field, model); is_hull && reach > 0)
     closeOffTheObject(model.p0, reach, errors, fit.points);
   double plain = 0, guided = 0, square = 0;
   for (std::size_t i = 0; i < errors.size(); ++i) {
-    plain += errors[i].plain, square += errors[i].square;
-    guided += lerp(errors[i].plain, errors[i].guided, double{fit.points[i].gate});
+    plain += errors[i].light.plain, square += errors[i].square;
+    guided += lerp(errors[i].light.plain, errors[i].light.guided, double{fit.points[i].gate});
   }
   if (square > 0) fit.error_plain = std::sqrt(plain / square), fit.error_guided = std::sqrt(guided / square);
   fit.lit = std::move(visibility.lit);

@@ -95,6 +95,26 @@ TEST(ReflectanceFit, SlantedViewsCountAsFarAsTheyForetellOthers) {
   EXPECT_LT(turning, 0.3);
 }
 
+// One view under a few lights: by a dozen samples alone noise would close the gates of 15 of these points.
+TEST(ReflectanceFit, ChanceClosesNoGateWhereSamplesAreFew) {
+  const test::TemporaryFolder folder;
+  test::FormulaFieldOptions options;
+  options.views = 1, options.lights = 24, options.size = 48, options.subdivision = 4;
+  const test::FormulaField field =
+      test::makeSphereField(folder / "f.srf", options, [](const Vec3& p, const Vec3& l, const Vec3&) {
+        const double noise = std::sin(911 * p.x + 613 * p.y + 487 * p.z + 1371 * l.x + 917 * l.y);
+        return 0.3 * std::max(0.0, dot(p, l)) * (1 + noise) * Vec3{1, 1, 1};
+      });
+  const auto fit = fitReflectance(field.folder, field.manifest, field.model, {}, Reporter::silent());
+  int seen = 0, shut = 0;
+  for (const FittedPoint& point : fit->points) {
+    if (!(point.reflectance.coefficient[0][0] > 0)) continue;
+    ++seen, shut += point.gate < 0.5f;
+  }
+  EXPECT_GT(seen, 200);
+  EXPECT_LE(shut, 5);
+}
+
 // A hull fills a bowl: through its lid each view sees another point of the bowl, which faces it. Of one light the model
 // tells a little more than the lights about it do; of all together it is wrong, where plain interpolation is right.
 TEST(ReflectanceFit, NothingGuidesWhereAHullIsNotTheObject) {
