@@ -39,6 +39,11 @@ fi
   echo
   "$stages" "${twist[@]}" --set /accuracy/light_sharing=0 --repeats 3
   echo
+  guided=(--set '/interpolation="guided"')
+  echo "## The same guided, 8 shadow rays a hit"
+  echo
+  "$stages" "${twist[@]}" "${guided[@]}" --set /accuracy/shadow_rays=8
+  echo
   echo "## What accuracy costs, and what a frame grows with"
   echo
   echo "The last column is the picture's difference from the one at the first row's setting. With \`\"shading\": \"sparse\"\` every second row and column of a block of"
@@ -66,9 +71,13 @@ fi
   row "1024 x 1024 pixels" --set /camera/w=1024 --set /camera/h=1024
   row "1024 x 1024, preview" --set /camera/w=1024 --set /camera/h=1024 "${preview[@]}" "${exact[@]}"
   row "one thread" --threads 1
-  row "guided, 8 shadow rays a hit" --set '/interpolation="guided"' --set /accuracy/shadow_rays=8 --repeats 5
-  row "guided, 8 shadow rays a hit, sparse" --set '/interpolation="guided"' --set /accuracy/shadow_rays=8 "${sparse[@]}" --repeats 5 "${exact[@]}"
-  row "guided, 32 shadow rays a hit" --set '/interpolation="guided"' --set /accuracy/shadow_rays=32 --repeats 5
+  for rays in 0 8 32 256; do
+    row "guided, $rays shadow rays a hit" "${guided[@]}" --set /accuracy/shadow_rays=$rays --repeats 5
+  done
+  row "guided, 8 shadow rays a hit, sparse" "${guided[@]}" --set /accuracy/shadow_rays=8 "${sparse[@]}" --repeats 5 "${exact[@]}"
+  sun=(--set '/lights=[{"type":"directional","direction":[-0.3,-0.5,0.8],"irradiance":[3,3,3]}]')
+  row "one directional light" "${sun[@]}" --repeats 5
+  row "one directional light, guided" "${sun[@]}" "${guided[@]}" --repeats 5
   echo
   echo "## Deforming and refitting a million triangles"
   echo
