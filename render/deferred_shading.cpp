@@ -138,7 +138,7 @@ void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder or
       const BlockCache::Handle handle = cache_.get(ViewId{one.view}, one.tile);
       products.begin(handle.block(), geometry_[one.view].light_count);
       // Operations lie where their batches are, their weights and entries where the hits are: each is fetched ahead.
-      constexpr std::size_t kAhead = 4;
+      constexpr std::size_t kAhead = 12;
       const std::size_t count = items.size();
       for (std::size_t i = 0; i < count; ++i) {
         if (i + 4 * kAhead < count) __builtin_prefetch(items[i + 4 * kAhead].operation);
