@@ -5,6 +5,7 @@
 #include <numeric>
 #include <unordered_map>
 
+#include "base/check.h"
 #include "base/parallel.h"
 #include "base/reporter.h"
 #include "render/texel_products.h"
@@ -70,8 +71,10 @@ void sortOperations(ShadingBatch& batch) {
   std::sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return keys[a] < keys[b]; });
   next.resize(keys.size());  // where the next operation of a block goes
   std::uint32_t begin = 0;
+  batch.runs.clear();
   for (const std::uint32_t b : order) {
     next[b] = begin;
+    batch.runs.push_back({keys[b], begin, begin + count[b]});
     begin += count[b];
   }
   sorted.resize(operations.size());
@@ -84,23 +87,19 @@ DeferredShading::DeferredShading(std::vector<StoreGeometry> geometry, BlockCache
 
 void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder order) {
   const bool sorted = order == ExecutionOrder::sorted;
-  std::vector<std::vector<Run>> runs_of(batches.size());
-  parallelFor(batches.size(), 1, [&](std::size_t first, std::size_t last) {
-    for (std::size_t b = first; b < last; ++b) {
-      ShadingBatch& batch = batches[b];
-      batch.results.resize(batch.operations.size());
-      for (std::uint32_t i = 0; i < batch.operations.size(); ++i) {
-        const std::uint64_t key = blockKey(batch.operations[i]);
-        if (sorted && i > 0 && runs_of[b].back().key == key)
-          ++runs_of[b].back().end;
-        else
-          runs_of[b].push_back({key, static_cast<std::uint32_t>(b), i, i + 1});
-      }
-    }
+  parallelFor(batches.size(), 16, [&](std::size_t first, std::size_t last) {
+    for (std::size_t b = first; b < last; ++b) batches[b].results.resize(batches[b].operations.size());
   });
   std::vector<Run> runs;
-  for (const auto& of_batch : runs_of) runs.insert(runs.end(), of_batch.begin(), of_batch.end());
-  runs_of = {};
+  for (std::uint32_t b = 0; b < batches.size(); ++b) {
+    const std::vector<ShadingOperation>& operations = batches[b].operations;
+    if (!sorted) {
+      for (std::uint32_t i = 0; i < operations.size(); ++i) runs.push_back({blockKey(operations[i]), b, i, i + 1});
+      continue;
+    }
+    SRF_CHECK((batches[b].runs.empty() ? 0 : batches[b].runs.back().end) == operations.size());
+    for (const BlockRun& run : batches[b].runs) runs.push_back({run.key, b, run.begin, run.end});
+  }
   std::vector<Job> jobs;
   if (sorted)
     std::sort(runs.begin(), runs.end(),
@@ -139,7 +138,7 @@ void DeferredShading::execute(std::span<ShadingBatch> batches, ExecutionOrder or
       const BlockCache::Handle handle = cache_.get(ViewId{one.view}, one.tile);
       products.begin(handle.block(), geometry_[one.view].light_count);
       // Operations lie where their batches are, their weights and entries where the hits are: each is fetched ahead.
-      constexpr std::size_t kAhead = 4;
+      constexpr std::size_t kAhead = 12;
       const std::size_t count = items.size();
       for (std::size_t i = 0; i < count; ++i) {
         if (i + 4 * kAhead < count) __builtin_prefetch(items[i + 4 * kAhead].operation);

@@ -10,15 +10,22 @@
 
 namespace srf {
 
+/// Operations of a batch on one block of the store.
+struct BlockRun {
+  std::uint64_t key;
+  std::uint32_t begin, end;
+};
+
 /// The operations of one block of pixels. Which operations share a batch is fixed by the frame alone.
 struct ShadingBatch {
   std::uint32_t targets = 0;                 ///< hits
   std::vector<ShadingOperation> operations;  ///< in any order until they are sorted
+  std::vector<BlockRun> runs;                ///< of sorted operations
   LightGather lights;
   std::vector<Rgb> results;  ///< of each operation
 };
 
-/// Orders the operations by blockKey, and alike ones as they were gathered.
+/// Orders the operations by blockKey, and alike ones as they were gathered; tells their runs.
 void sortOperations(ShadingBatch& batch);
 
 enum class ExecutionOrder {
@@ -31,7 +38,8 @@ class DeferredShading {
  public:
   /// `geometry[i]` is that of ViewId{i}'s store.
   DeferredShading(std::vector<StoreGeometry> geometry, BlockCache& cache);
-  /// Fills `results` of every batch. Light vectors must be resolved, operations sorted.
+  /// Fills `results` of every batch. Light vectors must be resolved, operations sorted
+  /// (sortOperations) unless the order is immediate.
   void execute(std::span<ShadingBatch> batches, ExecutionOrder order = ExecutionOrder::sorted);
   /// The blocks that the last sorted execution asked for, in their order: another frame is likely to want them too.
   const std::vector<std::uint64_t>& lastPlan() const { return last_plan_; }

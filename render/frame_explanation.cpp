@@ -36,7 +36,7 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
   s.gather(plan, rays, met, block, nullptr, &result.hits);
   s.shared.want(block.shading.lights, plan.lighting);
   s.shared.compute(plan.lighting);
-  s.shading->execute({&block.shading, 1});
+  s.shading->execute({&block.shading, 1}, s.settings.order);
   const auto colors = hitColors(block.shading, block.guided);
   std::array<double, 4> sum{};
   for (std::size_t t = 0; t < colors.size(); ++t) {

@@ -70,7 +70,7 @@ FrameLighting::Options lightingOptions(const FrameRenderer::State& state, const 
 
 void PixelBlock::clear() {
   shading.targets = 0;
-  shading.operations.clear(), shading.lights.clear(), shading.results.clear();
+  shading.operations.clear(), shading.runs.clear(), shading.lights.clear(), shading.results.clear();
   pixel.clear(), guided.clear(), between.clear(), ground.clear(), alpha.clear();
   collapsed = not_seen = no_view = 0;
   shadow_rays = model_values = ground_rays = shadows_not_told = 0;

@@ -236,10 +236,10 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
   out.weights.resize(first + count);
   OrientationGrid::Place last{-1, {}, {}};
   int last_tetrahedron = -1;
+  OrientationGrid::Blend blend{{kOnlyOrientation}, {1}};
   std::array<std::uint32_t, 4> ids{};
   for (std::size_t i = 0; shares(list_index) && i < count; ++i) {
     LightWeights& w = out.weights[first + i];
-    OrientationGrid::Blend blend{{kOnlyOrientation}, {1}};
     bool same = i > 0;
     if (on_grid) {
       const OrientationGrid::Place place{where.code[i],
@@ -248,7 +248,10 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
       const int tetrahedron = OrientationGrid::tetrahedron(place);
       same = place.code == last.code && place.cell == last.cell && tetrahedron == last_tetrahedron;
       last = place, last_tetrahedron = tetrahedron;
-      blend = grid_->blend(place);
+      if (same)
+        blend.share = OrientationGrid::shares(place);
+      else
+        blend = grid_->blend(place);
     }
     if (!same) ids.fill(LightWeights::kNone);
     w.share = blend.share;
@@ -305,13 +308,16 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
         continue;
       }
       const Rgb& e = memory.irradiance[l * stride + i];
+      LightEntry entries[kMostNearest];
+      LightEntry* end = entries;
       for (int j = 0; j < k; ++j) {
         const float share = weight[j * stride];
         if (!(share > 0)) break;  // by falling weight
         const std::uint32_t of = light[j * stride];
         const std::array<float, 3>& per = inverse[of];
-        out.entries.push_back({of, {share * (e[0] * per[0]), share * (e[1] * per[1]), share * (e[2] * per[2])}});
+        *end++ = {of, {share * (e[0] * per[0]), share * (e[1] * per[1]), share * (e[2] * per[2])}};
       }
+      out.entries.insert(out.entries.end(), entries, end);
     }
     addRest(list, out);
     out.settle(w, list.count());

@@ -26,18 +26,28 @@ std::array<int, 3> byFallingFraction(const std::array<Real, 3>& fraction) {
   return axis;
 }
 
+/// Of the corners along the axes.
+template <class Real>
+std::array<float, 4> sharesAlong(const std::array<int, 3>& axis, const std::array<Real, 3>& fraction) {
+  std::array<float, 4> share;
+  Real outer = 1;
+  for (int i = 0; i < 4; ++i) {
+    const Real next = i < 3 ? fraction[axis[i]] : 0;
+    share[i] = static_cast<float>(outer - next);
+    outer = next;
+  }
+  return share;
+}
+
 /// Kuhn's split: from the cell's inner corner outwards along the axes by falling fraction.
 template <class Real>
 OrientationGrid::Blend alongAxes(int face, bool reflected, std::array<std::int32_t, 3> at,
                                  const std::array<std::int32_t, 3>& step, const std::array<Real, 3>& fraction) {
   const std::array<int, 3> axis = byFallingFraction(fraction);
   OrientationGrid::Blend result;
-  Real outer = 1;
+  result.share = sharesAlong(axis, fraction);
   for (int i = 0; i < 4; ++i) {
-    const Real next = i < 3 ? fraction[axis[i]] : 0;
     result.corner[i] = pack(face, reflected, at);
-    result.share[i] = static_cast<float>(outer - next);
-    outer = next;
     if (i < 3) at[axis[i]] += step[axis[i]];
   }
   return result;
@@ -81,6 +91,10 @@ OrientationGrid::Blend OrientationGrid::blend(const Place& place) const {
     at[j] = step[j] * place.cell[j];
   }
   return alongAxes(place.code >> 4, place.code >> 3 & 1, at, step, place.fraction);
+}
+
+std::array<float, 4> OrientationGrid::shares(const Place& place) {
+  return sharesAlong(byFallingFraction(place.fraction), place.fraction);
 }
 
 int OrientationGrid::tetrahedron(const Place& place) {

@@ -31,6 +31,8 @@ class OrientationGrid {
     std::array<float, 3> fraction;
   };
   Blend blend(const Place& place) const;
+  /// Its shares alone.
+  static std::array<float, 4> shares(const Place& place);
   /// The cell's tetrahedron that holds the place: an order of the three axes. Places of one tetrahedron have the same
   /// corners.
   static int tetrahedron(const Place& place);

@@ -124,6 +124,22 @@ TEST_F(FrameRendererTest, TheCoverHoldsEveryPixelThatShowsTheModel) {
   }
 }
 
+// Without layers operations are made before a hit's other views are known, with them afterwards.
+TEST_F(FrameRendererTest, AskingForLayersChangesNoBitOfThePicture) {
+  DeformedModel deformed(field_->model);
+  deformed.deform(twist());
+  const auto picture = [&](const std::set<std::string>& layers) {
+    FrameSettings settings;
+    settings.layers = layers;
+    FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings, Reporter::silent());
+    const ImageF rgba = renderer.render(camera(160), deformed, lights()).rgba;
+    return std::vector<float>(rgba.data().begin(), rgba.data().end());
+  };
+  const std::vector<float> alone = picture({});
+  EXPECT_GT(*std::max_element(alone.begin(), alone.end()), 0.1f);
+  EXPECT_EQ(alone, picture({"P", "view"}));
+}
+
 TEST_F(FrameRendererTest, SparseShadingTakesTheMeanOfNeighboursWhereTheSurfaceIsSmooth) {
   DeformedModel deformed(field_->model);
   deformed.deform(twist());
