@@ -65,6 +65,7 @@ check both CastShadows::gather '--set /effects={"shadows":"both"}' "${hits[@]:0:
 check deformed CastShadows::gather '--set /effects={"shadows":"deformed"}' "${hits[@]:0:2}" "${views[@]}" "${rays[@]}"
 # Other rays meet other places.
 check lens 'throughLens(' '--set /effects={"depth_of_field":{"aperture":0.05,"focus":4}}' "${model[@]}"
-check layers Layers::set '--aovs confidence' "${hits[@]}" "${views[@]}" "${rays[@]}" "${model[@]}"
+# Layers tell of the views, which are then kept and not turned into operations at once.
+check layers Layers::set '--aovs confidence' "${hits[@]}" "${rays[@]}" "${model[@]}"
 check guided GuidedLighting:: '--set /interpolation="guided"' "${rays[@]}" "${model[@]}"
 exit $failed
