@@ -115,20 +115,6 @@ double timedInTurns(std::initializer_list<TimedFrames*> all, const Factor& facto
   return median(factors);
 }
 
-/// How many times as long as it does a frame of `hits` hits would take without the shortcuts: foretold from a smaller
-/// picture rendered both ways, for what the shortcuts save is the same at every hit. 0: the picture is too small to
-/// tell.
-double promisedFactor(const Scene& scene, const AnimationOptions& options, int frame, double hits) {
-  constexpr double kEnough = 5000;  // hits a thread
-  const auto small = smaller(scene, static_cast<int>(std::max(2.0, std::sqrt(hits / (kEnough * threadCount())))));
-  if (!small) return 0;
-  TimedFrames general(*small, options, frame, false), shortcut(*small, options, frame, true),
-      whole(scene, options, frame, true);
-  return timedInTurns({&general, &shortcut, &whole}, [&] {
-    return general.hits > 0 ? 1 + (general.seconds - shortcut.seconds) * (hits / general.hits) / whole.seconds : 0;
-  });
-}
-
 }  // namespace
 
 double measuredFactor(const Scene& scene, AnimationOptions options, int frame) {
@@ -137,6 +123,26 @@ double measuredFactor(const Scene& scene, AnimationOptions options, int frame) {
   TimedFrames general(scene, options, frame, false), shortcut(scene, options, frame, true);
   return timedInTurns({&general, &shortcut}, [&] { return general.seconds / shortcut.seconds; });
 }
+
+namespace {
+
+/// How many times as long as it does a frame of `hits` hits would take without the shortcuts: foretold from a smaller
+/// picture rendered both ways, for what the shortcuts save is the same at every hit. Where that is little, a difference
+/// of short times tells nothing and the frame itself is rendered both ways. 0: the picture is too small to tell.
+double promisedFactor(const Scene& scene, const AnimationOptions& options, int frame, double hits) {
+  constexpr double kEnough = 5000;  // hits a thread
+  constexpr double kLittle = 3;     // times as long
+  const auto small = smaller(scene, static_cast<int>(std::max(2.0, std::sqrt(hits / (kEnough * threadCount())))));
+  if (!small) return 0;
+  TimedFrames general(*small, options, frame, false), shortcut(*small, options, frame, true),
+      whole(scene, options, frame, true);
+  const double factor = timedInTurns({&general, &shortcut, &whole}, [&] {
+    return general.hits > 0 ? 1 + (general.seconds - shortcut.seconds) * (hits / general.hits) / whole.seconds : 0;
+  });
+  return factor < kLittle ? measuredFactor(scene, options, frame) : factor;
+}
+
+}  // namespace
 
 Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Reporter& reporter) {
   const Scratch scratch;
