@@ -67,5 +67,6 @@ check deformed CastShadows::gather '--set /effects={"shadows":"deformed"}' "${hi
 check lens 'throughLens(' '--set /effects={"depth_of_field":{"aperture":0.05,"focus":4}}' "${model[@]}"
 # Layers tell of the views, which are then kept and not turned into operations at once.
 check layers Layers::set '--aovs confidence' "${hits[@]}" "${rays[@]}" "${model[@]}"
+check support CaptureSupport::at '--aovs extrapolation' "${hits[@]}" "${rays[@]}" "${model[@]}"
 check guided GuidedLighting:: '--set /interpolation="guided"' "${rays[@]}" "${model[@]}"
 exit $failed
