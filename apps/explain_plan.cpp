@@ -115,17 +115,6 @@ double timedInTurns(std::initializer_list<TimedFrames*> all, const Factor& facto
   return median(factors);
 }
 
-}  // namespace
-
-double measuredFactor(const Scene& scene, AnimationOptions options, int frame) {
-  const Scratch scratch;
-  options.output = (scratch.path() / "frame.####.exr").string();
-  TimedFrames general(scene, options, frame, false), shortcut(scene, options, frame, true);
-  return timedInTurns({&general, &shortcut}, [&] { return general.seconds / shortcut.seconds; });
-}
-
-namespace {
-
 /// How many times as long as it does a frame of `hits` hits would take without the shortcuts: foretold from a smaller
 /// picture rendered both ways, for what the shortcuts save is the same at every hit. Where that is little, a difference
 /// of short times tells nothing and the frame itself is rendered both ways. 0: the picture is too small to tell.
@@ -143,6 +132,13 @@ double promisedFactor(const Scene& scene, const AnimationOptions& options, int f
 }
 
 }  // namespace
+
+double measuredFactor(const Scene& scene, AnimationOptions options, int frame) {
+  const Scratch scratch;
+  options.output = (scratch.path() / "frame.####.exr").string();
+  TimedFrames general(scene, options, frame, false), shortcut(scene, options, frame, true);
+  return timedInTurns({&general, &shortcut}, [&] { return general.seconds / shortcut.seconds; });
+}
 
 Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Reporter& reporter) {
   const Scratch scratch;

@@ -122,6 +122,9 @@ class Studying {
     const fs::path file = frameFile(pattern(m.keys, m.memory_bytes), middleFrame());
     return fs::exists(file) ? readImage(file).pixels : ImageF();
   }
+  MeasuredSetting& changeable(const MeasuredSetting& of_the_study) {
+    return study_.measured[static_cast<std::size_t>(&of_the_study - study_.measured.data())];
+  }
   void save() const { writeStudy(folder_ / "study.json", study_); }
 
   /// The frames to look at, and what an earlier run has measured of the same input.
@@ -280,9 +283,7 @@ class Studying {
 
   /// The all-exact pictures; smaller ones than planned where they turn out to take too long.
   void measureExact(const Scene& scene) {
-    bool exact_kept = study_.find(study_.exact) != nullptr;
-    for (const int frame : study_.frames) exact_kept &= fs::exists(frameFile(pattern(study_.exact), frame));
-    if (!exact_kept) {
+    if (!study_.find(study_.exact) || !exactPicturesOf(study_.frames)) {
       std::erase_if(study_.measured,
                     [&](const MeasuredSetting& m) { return m.keys == study_.exact && !m.memory_bytes; });
       measure(study_.exact, 0);
@@ -320,7 +321,7 @@ class Studying {
       const auto next = std::find_if(front.begin(), front.end(), [](const auto* m) { return !m->full_size_measured; });
       if (next == front.end()) return true;
       if (elapsed() + kPasses * (*next)->worstSeconds() > options_.budget) return false;
-      toFullSize(study_.measured[static_cast<std::size_t>(*next - study_.measured.data())], true);
+      toFullSize(changeable(**next), true);
       save();
     }
   }
@@ -332,7 +333,7 @@ class Studying {
     double a_frame = 0;
     for (const MeasuredSetting* m : study_.front())
       if (m->further.size() < all) {
-        todo.push_back(&study_.measured[static_cast<std::size_t>(m - study_.measured.data())]);
+        todo.push_back(&changeable(*m));
         a_frame += m->worstSeconds() / m->full_size;
       }
     if (todo.empty()) return true;
@@ -342,8 +343,7 @@ class Studying {
     if (todo.empty()) return false;
     const std::vector<int> frames(study_.further_frames.begin(),
                                   study_.further_frames.begin() + static_cast<std::ptrdiff_t>(count));
-    bool exact_kept = true;
-    for (const int frame : frames) exact_kept &= fs::exists(frameFile(pattern(study_.exact), frame));
+    const bool exact_kept = exactPicturesOf(frames);
     Reporter::Stage stage(reporter_, "promises of the front", todo.size() + !exact_kept);
     if (!exact_kept) {
       renderSetting(study_.exact, 0, frames);
@@ -387,6 +387,10 @@ class Studying {
     options.frames = frames;
     auto rendered = renderAnimation(scene, options, quiet);
     return {std::move(rendered), quiet.figures()};
+  }
+  bool exactPicturesOf(const std::vector<int>& frames) const {
+    return std::all_of(frames.begin(), frames.end(),
+                       [&](int frame) { return fs::exists(frameFile(pattern(study_.exact), frame)); });
   }
   ImageF exactPicture(int frame) const { return readImage(frameFile(pattern(study_.exact), frame)).pixels; }
 

@@ -49,6 +49,13 @@ std::vector<FrameError> errorsFrom(const JsonNode& node) {
   return errors;
 }
 
+std::vector<int> framesFrom(const JsonNode& node) {
+  std::vector<int> frames;
+  for (std::size_t i = 0; i < node.size(); ++i)
+    frames.push_back(static_cast<int>(node.at(i).integer(-1000000, 1000000)));
+  return frames;
+}
+
 Json settingToJson(const MeasuredSetting& m) {
   Json out{{"set", keysToJson(m.keys)}};
   if (m.memory_bytes) out["memory_bytes"] = m.memory_bytes;
@@ -219,12 +226,9 @@ Study readStudy(const std::filesystem::path& file) {
   study.passes = static_cast<int>(root["passes"].integer(1, 1000));
   if (const auto divisor = root.find("picture_divisor")) study.divisor = static_cast<int>(divisor->integer(1, 65536));
   study.complete = root["complete"].boolean();
-  for (std::size_t i = 0; i < root["frames"].size(); ++i)
-    study.frames.push_back(static_cast<int>(root["frames"].at(i).integer(-1000000, 1000000)));
+  study.frames = framesFrom(root["frames"]);
   if (study.frames.empty()) throw root["frames"].error("is empty, expected the studied frames");
-  if (const auto further = root.find("further_frames"))
-    for (std::size_t i = 0; i < further->size(); ++i)
-      study.further_frames.push_back(static_cast<int>(further->at(i).integer(-1000000, 1000000)));
+  if (const auto further = root.find("further_frames")) study.further_frames = framesFrom(*further);
   study.exact = keysFrom(root["exact"]);
   study.own = keysFrom(root["own"]);
   const JsonNode settings = root["settings"];

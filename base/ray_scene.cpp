@@ -545,12 +545,10 @@ void RayBackend::intersect(const RaysInSpace& rays, std::span<TriangleHit> hits)
     Packet packet(rays, begin, count, scene_->reach());
     const PacketHits of = packets.emplace_back(trace(*scene_, packet, hits.subspan(begin, count)));
     met += std::popcount(of.met), from_behind += std::popcount(of.from_behind);
-    unsigned missed = ~of.met & ((1u << count) - 1);
-    for (unsigned rest = missed; rest; rest &= rest - 1) {
-      const auto i = static_cast<std::size_t>(std::countr_zero(rest));
-      if (!scene_->meetsBox(rays[begin + i])) missed &= ~(1u << i);
+    for (unsigned missed = ~of.met & ((1u << count) - 1); missed; missed &= missed - 1) {
+      const std::size_t i = begin + static_cast<std::size_t>(std::countr_zero(missed));
+      if (scene_->meetsBox(rays[i])) doubtful.push_back(static_cast<std::uint32_t>(i));
     }
-    doubt(missed, begin);
   }
   // Rays of one batch mostly start outside, or mostly inside; and a mirror turns every triangle. So it is the rarer
   // side that is doubtful.

@@ -7,15 +7,15 @@
 
 namespace srf {
 
-void FrameRenderer::State::addOperations(std::uint32_t target, const PickedView& fetch, std::uint32_t lights,
+void FrameRenderer::State::addOperations(std::uint32_t target, const PickedView& picked, std::uint32_t lights,
                                          std::vector<ShadingOperation>& out) const {
-  if (!fetch.covered) return;
-  const StoreGeometry& geometry = selection->views()[fetch.view].geometry;
-  const float weight = fetch.weight;
-  const auto view = static_cast<std::uint16_t>(fetch.view);
-  const int in_x = fetch.x & (kTile - 1), in_y = fetch.y & (kTile - 1);
-  const int tile_x = (fetch.x - in_x) / kTile, tile_y = (fetch.y - in_y) / kTile;
-  const auto tile = [&](int x, int y) { return geometry.tileNumber({fetch.level, tile_x + x, tile_y + y}); };
+  if (!picked.covered) return;
+  const StoreGeometry& geometry = selection->views()[picked.view].geometry;
+  const float weight = picked.weight;
+  const auto view = static_cast<std::uint16_t>(picked.view);
+  const int in_x = picked.x & (kTile - 1), in_y = picked.y & (kTile - 1);
+  const int tile_x = (picked.x - in_x) / kTile, tile_y = (picked.y - in_y) / kTile;
+  const auto tile = [&](int x, int y) { return geometry.tileNumber({picked.level, tile_x + x, tile_y + y}); };
   const auto corner = [](int at) { return static_cast<std::uint8_t>(at); };
   const bool splits_x = in_x == kTile - 1, splits_y = in_y == kTile - 1;
   if (!splits_x && !splits_y) {  // all in one tile
@@ -25,13 +25,13 @@ void FrameRenderer::State::addOperations(std::uint32_t target, const PickedView&
                    view,
                    corner(in_x),
                    corner(in_y),
-                   {weight * fetch.tap[0], weight * fetch.tap[1], weight * fetch.tap[2], weight * fetch.tap[3]}});
+                   {weight * picked.tap[0], weight * picked.tap[1], weight * picked.tap[2], weight * picked.tap[3]}});
     return;
   }
   // The 2 x 2 texels fall into 2 or 4 tiles; each tile gets the taps that lie in it, at its own first texel.
   for (int y = 0; y <= splits_y; ++y)
     for (int x = 0; x <= splits_x; ++x) {
-      const float* const first = fetch.tap + 2 * y + x;
+      const float* const first = picked.tap + 2 * y + x;
       const float right = splits_x ? 0 : first[1], below = splits_y ? 0 : first[2];
       if (!(std::max({first[0], right, below}) > 0)) continue;
       out.push_back({target,
@@ -192,11 +192,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
     out.not_seen += chosen.result[m] == ViewSelection::Result::not_seen;
     out.no_view += chosen.result[m] == ViewSelection::Result::none;
     handles.clear();
-    for (const ChosenView& c : chosen.of(m)) {
-      const Fetch& fetch = c.fetch;
-      const auto weight = static_cast<float>(c.weight);
-      addPicked(m, {c.view, weight, fetch.x, fetch.y, fetch.level, fetch.covered > 0, fetch.tap});
-    }
+    for (const ChosenView& c : chosen.of(m)) addPicked(m, PickedView::of(c.view, c.weight, c.fetch));
     const SurfaceHit& hit = hits[met[m]];
     if (first_of_pixel && (support || layers)) {
       const int x = static_cast<int>(pixels[met[m]] % width), y = static_cast<int>(pixels[met[m]] / width);

@@ -117,6 +117,7 @@ void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens
     const int left = x0 + corner.x, top = y0 + corner.y;
     if (!(left < camera.lens.width && top < camera.lens.height && cover.covers(left, top))) continue;
     const bool inside = left + kPacketSide <= camera.lens.width && top + kPacketSide <= camera.lens.height;
+    // As nearly all of a preview's or a plain frame's: without asking pixel by pixel tracing takes 0.96 of the time.
     if (pinhole && inside && pattern.size() == 1 && stop - i == kPacketPixels) {
       double *const to_left = to_x + (count - cast), *const to_top = to_y + (count - cast);
       std::uint32_t* const pixel = result.pixel.data() + count;

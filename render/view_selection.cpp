@@ -244,16 +244,9 @@ void ViewSelection::choose(std::size_t pair, double weight, const Scratch& s, Ch
 }
 
 PickedView ViewSelection::picked(std::size_t pair, double weight, const Scratch& s) const {
-  const PickedView whole{static_cast<std::uint32_t>(s.view[pair]),
-                         static_cast<float>(weight),
-                         s.texels[1][pair],
-                         s.texels[2][pair],
-                         0,
-                         true,
-                         &s.tap[4 * pair]};
-  if (s.fetch[pair] == kWhole) return whole;
-  const Fetch& fetch = s.fetches[s.fetch[pair]];
-  return {whole.view, whole.weight, fetch.x, fetch.y, fetch.level, fetch.covered > 0, fetch.tap};
+  const auto view = static_cast<std::uint32_t>(s.view[pair]);
+  if (s.fetch[pair] != kWhole) return PickedView::of(view, weight, s.fetches[s.fetch[pair]]);
+  return {view, static_cast<float>(weight), s.texels[1][pair], s.texels[2][pair], 0, true, &s.tap[4 * pair]};
 }
 
 void ViewSelection::selectSome(std::span<const ViewQuery> queries, std::span<const std::uint8_t> allowed, Scratch& s,

@@ -41,6 +41,11 @@ struct PickedView {
   int x, y, level;  ///< as Fetch has them
   bool covered;     ///< at all
   const float* tap;
+
+  /// `fetch` must outlive it.
+  static PickedView of(std::uint32_t view, double weight, const Fetch& fetch) {
+    return {view, static_cast<float>(weight), fetch.x, fetch.y, fetch.level, fetch.covered > 0, fetch.tap};
+  }
 };
 
 class ViewSelection {
