@@ -6,6 +6,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 command -v valgrind > /dev/null || { echo "skipped: no valgrind here; apt-get install valgrind"; exit 77; }
 srf=$(realpath "${1:-build/release}")/apps/srf
+studio=$PWD/tools/demo/studio.exr
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 cd "$work"
@@ -40,6 +41,13 @@ say() { printf '%-8s %s\n' "$@"; }
 expect() {  # what is said, condition of awk
   if awk "BEGIN { exit !($2) }"; then say ok "$1"; else say FAILED "$1"; failed=1; fi
 }
+same() {  # run, how many times as much, functions
+  local without with
+  for f in "${@:3}"; do
+    without=$(of bare "$f") with=$(of "$1" "$f")
+    expect "  $f: $without, $with" "$without > 0 && ($with - $2 * $without) ^ 2 <= (0.001 * $2 * $without) ^ 2"
+  done
+}
 check() {  # run, function that runs with the arguments and not without, arguments in one word, functions that must not change
   local words
   read -ra words <<< "$3"
@@ -47,10 +55,7 @@ check() {  # run, function that runs with the arguments and not without, argumen
   local without with
   without=$(of bare "$2") with=$(of "$1" "$2")
   expect "$3: $2 takes $with instructions, without $without" "$with > 0 && $without == 0"
-  for f in "${@:4}"; do
-    without=$(of bare "$f") with=$(of "$1" "$f")
-    expect "  $f: $without, $with" "$without > 0 && ($with - $without) ^ 2 <= (0.001 * $without) ^ 2"
-  done
+  same "$1" 1 "${@:4}"
 }
 count bare
 hits=("lookUp(" DeferredShading::execute FrameLighting::gather)
@@ -68,5 +73,17 @@ check lens 'throughLens(' '--set /effects={"depth_of_field":{"aperture":0.05,"fo
 # Layers tell of the views, which are then kept and not turned into operations at once.
 check layers Layers::set '--aovs confidence' "${hits[@]}" "${rays[@]}" "${model[@]}"
 check support CaptureSupport::at '--aovs extrapolation' "${hits[@]}" "${rays[@]}" "${model[@]}"
+check environment sampleEnvironment "--set /lights/1={\"type\":\"environment\",\"map\":\"$studio\",\"samples\":16}" \
+  'lookUp(' "${views[@]}" "${rays[@]}" "${model[@]}"
+check point N_AVX2::towards '--set /lights/1={"type":"point","position":[2,-2,2],"intensity":[1,1,1]}' \
+  'lookUp(' "${views[@]}" "${rays[@]}" "${model[@]}"
+# These have no function of their own. What moves is carried once a moment, which this scene's deformation does not.
+count blur --set '/effects={"motion_blur":{"shutter":0.5,"samples":4}}'
+say "" "motion blur of 4 moments"
+same blur 4 'lookUp(' DeformedModel::blendTriangles
+same blur 1 "${model[@]}"
+count matte --set '/effects={"matte":true}'
+say "" "matte"
+same matte 1 'lookUp(' FrameLighting::gather "${rays[@]}" "${model[@]}"
 check guided GuidedLighting:: '--set /interpolation="guided"' "${rays[@]}" "${model[@]}"
 exit $failed
