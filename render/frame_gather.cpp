@@ -228,14 +228,6 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
 
   thread_local GuidedBlock guided_block;  // for its memory
   guided_block.shadow_rays = guided_block.model_values = 0;
-  if (guided) {
-    std::vector<GuidedQuery> guided_queries;
-    for (std::size_t m = 0; m < met.size(); ++m)
-      guided_queries.push_back({&hits[met[m]], &look_ups[m], queries[m].view, chosen.of(m)});
-    guided->prepare(guided_queries, guided_block);
-    out.guided.resize(met.size());
-    lap(kShadows);
-  }
   CastShadows::Counts cast_counts;
   const auto light = [&](std::size_t m, LitPoint& point) {
     const LookUp& look_up = look_ups[m];
@@ -248,20 +240,40 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
     if (points.size() < met.size()) points.resize(met.size());
     for (std::size_t m = 0; m < met.size(); ++m) light(m, points[m]);
     plan.lighting.gather(points, wanted, out.shading.lights);  // M13, M14
-  } else {
+  } else if (!guided) {
     LitPoint point;
-    std::size_t own = 0;  // of hits that are guided: room for all at once
-    for (const auto& [m, list] : wanted)
-      if (guided && guided_block.hits[m].gate > 0) own += 3 * static_cast<std::size_t>(lightPad(lists[list].count()));
-    out.shading.lights.own.reserve(own);
     for (const auto& [m, list] : wanted) {
       light(m, point);
-      if (guided && guided_block.hits[m].gate > 0)
-        guided->gather(guided_block, m, list, out.shading.lights, out.guided[m]);
-      else if (plan.cast)
-        plan.cast->gather(list, point, out.shading.lights, cast_counts);
-      else
-        plan.lighting.gather(list, point, out.shading.lights);
+      plan.cast->gather(list, point, out.shading.lights, cast_counts);
+    }
+  } else {
+    out.guided.resize(met.size());
+    thread_local std::vector<GuidedQuery> guided_queries;
+    std::size_t own = 0;  // room for all at once
+    for (const auto& [m, list] : wanted) own += 3 * static_cast<std::size_t>(lightPad(lists[list].count()));
+    out.shading.lights.own.reserve(own);
+    auto next = wanted.begin();  // in the order of the hits
+    for (std::size_t first = 0; first < met.size(); first += guided->hitsAtOnce()) {
+      const std::size_t end = std::min(met.size(), first + guided->hitsAtOnce());
+      guided_queries.clear();
+      for (std::size_t m = first; m < end; ++m)
+        guided_queries.push_back({&hits[met[m]], &look_ups[m], queries[m].view, chosen.of(m)});
+      guided->evaluate(guided_queries, guided_block);
+      lap(kModelValues);
+      guided->castShadows(guided_block);
+      lap(kShadows);
+      for (LitPoint point; next != wanted.end() && next->point < end; ++next) {
+        const auto [m, list] = *next;
+        if (guided_block.hits[m - first].gate > 0) {
+          guided->gather(guided_block, m - first, list, out.shading.lights, out.guided[m]);
+        } else {
+          light(m, point);
+          plan.lighting.gather(list, point, out.shading.lights);
+        }
+      }
+      lap(kWeights);
+      guided->takeAway(guided_block, std::span(out.guided).subspan(first, end - first));
+      lap(kModelValues);
     }
   }
   out.shadow_rays = guided_block.shadow_rays + cast_counts.rays;

@@ -25,9 +25,9 @@ namespace srf {
 struct FramePlan;
 
 /// What a block of pixels goes through before its operations are executed.
-enum GatherStage { kTrace, kHits, kGround, kLookUp, kViews, kSupport, kShadows, kWeights, kSort };
-constexpr std::array<const char*, 9> kGatherStages{"trace",   "hits",    "ground",  "look_up", "views",
-                                                   "support", "shadows", "weights", "sort"};
+enum GatherStage { kTrace, kHits, kGround, kLookUp, kViews, kSupport, kModelValues, kShadows, kWeights, kSort };
+constexpr std::array<const char*, 10> kGatherStages{"trace",   "hits",         "ground",  "look_up", "views",
+                                                    "support", "model_values", "shadows", "weights", "sort"};
 
 /// One block of pixels on its way.
 struct PixelBlock {

@@ -43,11 +43,11 @@ DirectionLanes lanesOf(const std::array<std::vector<float>, 3>& of, std::size_t 
   return {of[0].data() + from, of[1].data() + from, of[2].data() + from};
 }
 template <class Float>
-std::array<Float*, 3> channels(std::array<std::vector<float>, 3>& of) {
-  return {of[0].data(), of[1].data(), of[2].data()};
+std::array<Float*, 3> channels(std::array<std::vector<float>, 3>& of, std::size_t from = 0) {
+  return {of[0].data() + from, of[1].data() + from, of[2].data() + from};
 }
-std::array<const float*, 3> channels(const std::array<std::vector<float>, 3>& of) {
-  return {of[0].data(), of[1].data(), of[2].data()};
+std::array<const float*, 3> channels(const std::array<std::vector<float>, 3>& of, std::size_t from = 0) {
+  return {of[0].data() + from, of[1].data() + from, of[2].data() + from};
 }
 
 /// Where light i of the list stands as seen from p, and what it gives there.
@@ -166,34 +166,52 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
   turn(hit.model, hit.model_view, query.look_up->acquisition_from_object.raw().transposed());
 }
 
-void GuidedLighting::prepare(std::span<const GuidedQuery> queries, GuidedBlock& block) const {
+std::size_t GuidedLighting::hitsAtOnce() const {
+  constexpr std::size_t kAnswers = std::size_t{3} << 16;
+  return std::max<std::size_t>(kVectorLanes, kAnswers / std::max<std::size_t>(row(), 1));
+}
+
+void GuidedLighting::evaluate(std::span<const GuidedQuery> queries, GuidedBlock& block) const {
   const FrameLights& lights = lighting_.lights();
-  const std::size_t near_count = lights.near_lights.size();
   block.hits.assign(queries.size(), {});
-  block.sight.assign(queries.size() * row(), options_.shadows == Shadows::off ? kInSight : kNotAsked);
-  for (int c = 0; c < 3; ++c) block.near_direction[c].assign(queries.size() * near_lanes_, c == 2 ? 1.f : 0.f);
-  block.near_irradiance.resize(queries.size() * near_count);
-  block.shadow_rays = block.model_values = 0;
+  for (int c = 0; c < 3; ++c) {
+    block.near_direction[c].assign(queries.size() * near_lanes_, c == 2 ? 1.f : 0.f);
+    block.near_irradiance[c].assign(queries.size() * near_lanes_, 0);
+    block.answer[c].resize(std::max(block.answer[c].size(), queries.size() * row()));
+  }
   block.last_corner = {};
+  block.taken.clear();
+  block.used = 0;
   for (GuidedBlock::Nearest& list : block.near_weights) list.weight.clear();
   for (std::size_t h = 0; h < queries.size(); ++h) {
-    blend(queries[h], block.hits[h]);
-    for (std::size_t k = 0; k < near_count; ++k) {  // Eq. 11: A(|p* - p_l|) I_l
+    GuidedBlock::Hit& hit = block.hits[h];
+    blend(queries[h], hit);
+    const std::size_t near = h * near_lanes_;
+    for (std::size_t k = 0; k < lights.near_lights.size(); ++k) {  // Eq. 11: A(|p* - p_l|) I_l
       const Vector<ObjectSpace> to_light = lights.near_lights[k].position - queries[h].hit->p_star;
       const double d = std::max(length(to_light), options_.min_distance);
       const LookUp& look_up = *queries[h].look_up;
       const std::array<float, 3> l =
           floats(normalize(to_light).value_or(look_up.acquisition_from_object.inverse() * look_up.normal).raw());
-      block.near_irradiance[h * near_count + k] = lights.near_lights[k].intensity / (d * d);
-      for (int c = 0; c < 3; ++c) block.near_direction[c][h * near_lanes_ + k] = l[c];
+      const std::array<float, 3> e = floats(lights.near_lights[k].intensity / (d * d));
+      for (int c = 0; c < 3; ++c) block.near_direction[c][near + k] = l[c], block.near_irradiance[c][near + k] = e[c];
     }
+    if (!(hit.gate > 0)) continue;
+    const std::array<float*, 3> answer = channels<float>(block.answer, h * row());
+    block.model_values +=
+        modelAnswers(hit.model, hit.model_view, lanesOf(direction_), channels(irradiance_), distant_lanes_, answer);
+    block.model_values +=
+        modelAnswers(hit.model, hit.model_view, lanesOf(block.near_direction, near),
+                     channels(std::as_const(block.near_irradiance), near), near_lanes_,
+                     {answer[0] + distant_lanes_, answer[1] + distant_lanes_, answer[2] + distant_lanes_});
   }
-  if (options_.shadows != Shadows::off) castShadows(block);
 }
 
 void GuidedLighting::castShadows(GuidedBlock& block) const {
   const FrameLights& lights = lighting_.lights();
   const std::size_t distant_count = lights.distant.size(), near_count = lights.near_lights.size();
+  block.sight.assign(block.hits.size() * row(), options_.shadows == Shadows::off ? kInSight : kNotAsked);
+  if (options_.shadows == Shadows::off) return;
   const bool at_rest = options_.shadows == Shadows::captured;
   auto& wanted = block.rays_wanted;
   wanted.clear();
@@ -211,8 +229,7 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
                 : hit.query.hit->p_star + offset_ * (look_up.acquisition_from_object.inverse() * look_up.normal);
     const auto hit_index = static_cast<std::uint32_t>(h);
     if (distant_count > 0) {
-      modelAnswers(hit.model, hit.model_view, lanesOf(direction_), channels(irradiance_), distant_lanes_,
-                   block.keys.data());
+      brightness(channels(std::as_const(block.answer), h * row()), distant_lanes_, block.keys.data());
       const std::size_t count =
           largestKeys(block.keys.data(), distant_count, static_cast<std::size_t>(options_.shadow_rays),
                       block.positions.data(), least);
@@ -338,8 +355,8 @@ void GuidedLighting::findNear(GuidedBlock& block, std::uint32_t list_index) cons
   found.weight.resize(lights.size() * k * lanes);
   found.light.resize(found.weight.size());
   block.near_cells.resize(lanes);
-  for (auto& axis : block.reach) axis.assign(std::max(axis.size(), lanes), 0);
-  float *const x = block.reach[0].data(), *const y = block.reach[1].data(), *const z = block.reach[2].data();
+  for (auto& axis : block.near_axis) axis.assign(lanes, 0);
+  const auto [x, y, z] = channels<float>(block.near_axis);
   for (std::size_t l = 0; l < lights.size(); ++l) {
     for (std::size_t h = 0; h < lanes; ++h) {
       const std::size_t at = std::min(h, block.hits.size() - 1);
@@ -444,12 +461,10 @@ ResidualShares GuidedLighting::spreadShared(GuidedBlock& block, std::size_t inde
   shownBySight(block.lit.data(), block.facing.data(), block.disagrees && !off ? block.disagree.data() : nullptr, pad,
                block.shown.data());
   block.energy.assign(4 * pad, 0);
-  std::size_t facing = 0;
-  sum = distantSums(hit.model, hit.model_view, {lanesOf(direction_), energy_.data(), channels(irradiance_)},
-                    block.sight.data() + index * row(), nearest->nearest.data(),
-                    {block.shown.data(), pad, block.same_gate ? nullptr : block.gate.data()}, distant_lanes_,
-                    block.energy.data(), facing);
-  block.model_values += facing;
+  sum = distantSums(hit.model.n, {lanesOf(direction_), energy_.data()},
+                    channels(std::as_const(block.answer), index * row()), block.sight.data() + index * row(),
+                    nearest->nearest.data(), {block.shown.data(), pad, block.same_gate ? nullptr : block.gate.data()},
+                    distant_lanes_, block.energy.data());
   if (block.same_gate)
     for (float& channel : sum) channel *= hit.gate;
 
@@ -495,34 +510,31 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   // Few lights are taken one by one: only so the photograph returns near a captured one.
   const bool shared = lighting_.shares(list_index) && lights.distant.size() >= FrameLighting::kFewestShared;
   block.singles.clear();
-  for (auto& channel : block.reach) channel.resize(std::max({distant_lanes_, near_lanes_, channel.size()}));
+  const auto answer = channels(std::as_const(block.answer), index * row());
   ResidualShares shares{};
   if (shared) {
     std::array<float, 3> sum;
     shares = spreadShared(block, index, list_index, sum);
     add(list_share, sum);
   } else if (!lights.distant.empty()) {
-    for (auto& channel : block.reach) std::fill(channel.begin(), channel.end(), 0.f);
+    block.reach.assign(distant_lanes_, 0);
     for (std::size_t k = 0; k < lights.distant.size(); ++k) {
       const std::array<float, 3> e{irradiance_[0][k], irradiance_[1][k], irradiance_[2][k]};
       const Direction<AcquisitionSpace> direction = look_up.acquisition_from_object * lights.distant[k].direction;
       list.nearest(direction, look_up.p, block.order, block.weights);
-      const float shown = spread(block, hit, captured, direction,
-                                 dot3(hit.model.n, direction_[0][k], direction_[1][k], direction_[2][k]),
-                                 static_cast<LightSight>(block.sight[index * row() + k]), e);
-      for (int c = 0; c < 3; ++c) block.reach[c][k] = shown * e[c];
+      block.reach[k] = spread(block, hit, captured, direction,
+                              dot3(hit.model.n, direction_[0][k], direction_[1][k], direction_[2][k]),
+                              static_cast<LightSight>(block.sight[index * row() + k]), e);
     }
-    add(list_share, modelSums(hit.model, &hit.model_view, 1, lanesOf(direction_), channels(std::as_const(block.reach)),
-                              distant_lanes_));
-    block.model_values += lights.distant.size();
+    add(list_share, shownSums(answer, block.reach.data(), distant_lanes_));
   }
   if (near_count > 0) {
     findNear(block, list_index);
     const GuidedBlock::Nearest& found = block.near_weights[list_index];
-    for (auto& channel : block.reach) std::fill_n(channel.begin(), near_lanes_, 0.f);
+    block.reach.assign(near_lanes_, 0);
     const DirectionLanes l = lanesOf(block.near_direction, index * near_lanes_);
+    const std::array<const float*, 3> irradiance = channels(std::as_const(block.near_irradiance), index * near_lanes_);
     for (std::size_t k = 0; k < near_count; ++k) {
-      const std::array<float, 3> e = floats(block.near_irradiance[index * near_count + k]);
       const auto direction = look_up.acquisition_from_object *
                              Direction<ObjectSpace>::fromUnit(Vec3{double{l.x[k]}, double{l.y[k]}, double{l.z[k]}});
       block.weights.clear();
@@ -533,12 +545,12 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
         block.weights.push_back({found.light[at], found.weight[at]});
       }
       if (block.weights.empty()) list.nearest(direction, look_up.p, block.order, block.weights);
-      const float shown = spread(block, hit, captured, direction, dot3(hit.model.n, l.x[k], l.y[k], l.z[k]),
-                                 static_cast<LightSight>(block.sight[index * row() + distant_lanes_ + k]), e);
-      for (int c = 0; c < 3; ++c) block.reach[c][k] = shown * e[c];
+      block.reach[k] = spread(block, hit, captured, direction, dot3(hit.model.n, l.x[k], l.y[k], l.z[k]),
+                              static_cast<LightSight>(block.sight[index * row() + distant_lanes_ + k]),
+                              {irradiance[0][k], irradiance[1][k], irradiance[2][k]});
     }
-    add(list_share, modelSums(hit.model, &hit.model_view, 1, l, channels(std::as_const(block.reach)), near_lanes_));
-    block.model_values += near_count;
+    add(list_share, shownSums({answer[0] + distant_lanes_, answer[1] + distant_lanes_, answer[2] + distant_lanes_},
+                              block.reach.data(), near_lanes_));
   }
 
   for (const RestLight& rest : lights.rest) {  // a light of the capture itself: only the view differs
@@ -578,44 +590,36 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
         block.model[c][one.light] += one.model[c];
       }
   }
-  for (int c = 0; c < 3; ++c) {
-    block.used_direction[c].resize(paddedLanes(pad + (few ? block.singles.size() : 0)));
-    block.used_amount[c].resize(block.used_direction[c].size());
-  }
+  const std::size_t first = block.used;
+  for (int c = 0; c < 3; ++c)
+    for (std::vector<float>* lanes : {&block.used_direction[c], &block.used_amount[c]})
+      lanes->resize(std::max(lanes->size(), first + paddedLanes(pad + (few ? block.singles.size() : 0))));
+  const UsedLanes to{channels<float>(block.used_direction, first), channels<float>(block.used_amount, first)};
   std::size_t photographs = 0;
   const ResidualAmounts amounts{channels(std::as_const(block.photograph)), channels(std::as_const(block.model))};
-  std::size_t used =
-      usedLights(captured, pad, shared ? &shares : nullptr, few ? nullptr : &amounts, {own, own + pad, own + 2 * pad},
-                 {channels<float>(block.used_direction), channels<float>(block.used_amount)}, photographs);
+  std::size_t used = usedLights(captured, pad, shared ? &shares : nullptr, few ? nullptr : &amounts,
+                                {own, own + pad, own + 2 * pad}, to, photographs);
   if (few && !block.singles.empty()) {
     const std::array<const float*, 3> direction{captured.direction.x, captured.direction.y, captured.direction.z};
     for (const GuidedBlock::Single& one : block.singles) {
       for (int c = 0; c < 3; ++c) {
         const float inverse = captured.inverse[c][one.light];
         own[c * pad + one.light] += one.photograph[c] * inverse;
-        block.used_direction[c][used] = direction[c][one.light];
-        block.used_amount[c][used] = inverse > 0 ? one.model[c] : 0;
+        to.direction[c][used] = direction[c][one.light];
+        to.model[c][used] = inverse > 0 ? one.model[c] : 0;
       }
       ++used;
     }
     photographs += block.singles.size();
     for (std::size_t i = used; i < paddedLanes(used); ++i)
-      for (int c = 0; c < 3; ++c) block.used_direction[c][i] = c == 2, block.used_amount[c][i] = 0;
+      for (int c = 0; c < 3; ++c) to.direction[c][i] = c == 2, to.model[c][i] = 0;
   }
   for (const RestLight& rest : lights.rest)
     if (const auto at = list.find(rest.light))
       for (int c = 0; c < 3; ++c) own[c * pad + *at] += static_cast<float>(rest.scale);
   if (used > 0) {
-    ModelOfPoint model = modelOfPoint(hit.reflectance);
-    block.model_views.clear();
-    for (const ChosenView& chosen : hit.query.chosen) {
-      if (list_of_view_[chosen.view] != list_index) continue;
-      const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(look_up.p).raw());
-      block.model_views.push_back(addView(model, hit.reflectance, view, static_cast<float>(chosen.weight)));
-    }
-    add(-1, modelSums(model, block.model_views.data(), block.model_views.size(), lanesOf(block.used_direction),
-                      channels(std::as_const(block.used_amount)), paddedLanes(used)));
-    block.model_values += used * block.model_views.size();
+    block.taken.push_back({static_cast<std::uint32_t>(index), list_index, first, used});
+    block.used += paddedLanes(used);
   }
   if (photographs + lights.rest.size() <= LightGather::fewEntries(list.count())) {
     for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(list.count()); ++i) {
@@ -627,6 +631,24 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
     out.own.insert(out.own.end(), own, own + 3 * pad);
   }
   return out.append(weights, list.count());
+}
+
+void GuidedLighting::takeAway(GuidedBlock& block, std::span<std::array<double, 3>> colors) const {
+  for (const GuidedBlock::Taken& taken : block.taken) {
+    const GuidedBlock::Hit& hit = block.hits[taken.hit];
+    ModelOfPoint model = modelOfPoint(hit.reflectance);
+    block.model_views.clear();
+    for (const ChosenView& chosen : hit.query.chosen) {
+      if (list_of_view_[chosen.view] != taken.list) continue;
+      const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(hit.query.look_up->p).raw());
+      block.model_views.push_back(addView(model, hit.reflectance, view, static_cast<float>(chosen.weight)));
+    }
+    const std::array<float, 3> sum =
+        modelSums(model, block.model_views.data(), block.model_views.size(), lanesOf(block.used_direction, taken.first),
+                  channels(std::as_const(block.used_amount), taken.first), paddedLanes(taken.count));
+    for (int c = 0; c < 3; ++c) colors[taken.hit][c] -= double{sum[c]};
+    block.model_values += taken.count * block.model_views.size();
+  }
 }
 
 }  // namespace srf

@@ -56,9 +56,11 @@ struct GuidedBlock {
   };
   std::vector<Nearest> near_weights;  ///< of each list; empty: not found yet, or each for itself
   std::vector<std::int32_t> near_cells;
+  std::array<std::vector<float>, 3> near_axis;
   /// Of each hit and near light: direction in object space; irradiance on a plane facing it.
-  std::array<std::vector<float>, 3> near_direction;
-  std::vector<Vec3> near_irradiance;
+  std::array<std::vector<float>, 3> near_direction, near_irradiance;
+  /// Of each hit and light of the frame, as `sight`: what it adds to the picture where nothing hides it (modelAnswers).
+  std::array<std::vector<float>, 3> answer;
   std::uint64_t shadow_rays = 0, model_values = 0;  ///< cast, and evaluated (one for each light and view), so far
 
   /// A list of captured lights as one hit sees it, where they are not at infinity.
@@ -81,10 +83,9 @@ struct GuidedBlock {
     std::array<float, 3> photograph, model;
   };
   std::vector<Single> singles;
-  std::array<std::vector<float>, 3> photograph, model;            ///< their sums, where there are many
-  std::array<std::vector<float>, 3> reach;                        ///< of lights of the frame: irradiance that counts
-  std::array<std::vector<float>, 3> used_direction, used_amount;  ///< of the captured lights that the residual uses
-  std::vector<float> shown, energy;                               ///< CapturedShadow, and of distantSums
+  std::array<std::vector<float>, 3> photograph, model;  ///< their sums, where there are many
+  std::vector<float> reach;                             ///< of lights of the frame: how much of each counts
+  std::vector<float> shown, energy;                     ///< CapturedShadow, and of distantSums
   std::vector<float> shared, keys, own;
   std::vector<std::uint32_t> positions;
   std::vector<ModelView> model_views;
@@ -92,6 +93,14 @@ struct GuidedBlock {
   std::array<const SharedStandIns::Corner*, 4> last_corner{};
   std::vector<Penalised> order;
   std::vector<Weighted> weights;
+  /// Captured lights that the residual of a hit uses, whose model its views of a list take away: places of `used`.
+  struct Taken {
+    std::uint32_t hit, list;
+    std::size_t first, count;
+  };
+  std::vector<Taken> taken;
+  std::array<std::vector<float>, 3> used_direction, used_amount;
+  std::size_t used = 0;
   // Memory of the shadow rays.
   std::vector<std::pair<std::uint32_t, std::uint32_t>> rays_wanted;  ///< (light, hit)
   std::vector<std::uint32_t> ray_order, first_ray;
@@ -122,12 +131,19 @@ class GuidedLighting {
   /// view's pixel on the surface, which the difference from the model suffers from, counts for more than how near the
   /// view is.
   void weigh(const SurfaceHit& hit, std::span<ChosenView> chosen) const;
-  /// Blends the fit at the hits and casts their shadow rays.
-  void prepare(std::span<const GuidedQuery> queries, GuidedBlock& block) const;
+  // A block of hits goes through these four one after the other.
+  /// Most hits of a block: what is kept of each and each light stays near.
+  std::size_t hitsAtOnce() const;
+  /// Blends the fit at the hits, and what it answers to each light of the frame.
+  void evaluate(std::span<const GuidedQuery> queries, GuidedBlock& block) const;
+  /// Casts the shadow rays of the block.
+  void castShadows(GuidedBlock& block) const;
   /// Appends the weights of a list at hit `index` of the block, whose gate must be above 0, returns their handle, and
-  /// adds to `color` what the model gives and takes for the views of that list.
+  /// adds to `color` what the model gives for the views of that list.
   std::uint32_t gather(GuidedBlock& block, std::size_t index, std::uint32_t list, LightGather& out,
                        std::array<double, 3>& color) const;
+  /// Takes from the colours of the block's hits what the model gives in place of the photographs that were gathered.
+  void takeAway(GuidedBlock& block, std::span<std::array<double, 3>> colors) const;
 
  private:
   /// What is the same for all hits of a list of distant captured lights; empty for another list.
@@ -137,7 +153,6 @@ class GuidedLighting {
   };
   std::size_t row() const { return distant_lanes_ + near_lanes_; }
   void blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const;
-  void castShadows(GuidedBlock& block) const;
   /// Fills what the captured lights of a list say of a hit, and returns where they stand.
   CapturedLanes readCaptured(std::uint32_t list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
   void share(const VisibilityBits& bits, std::uint32_t list, const SurfaceHit& hit, std::vector<float>& shares) const;

@@ -149,22 +149,53 @@ void blend(const std::array<const float*, 4>& vector, const std::array<float, 4>
   }
 }
 
-void answers(const ModelOfPoint& m, const ModelView& view, const DirectionLanes& lights,
-             const std::array<const float*, 3>& irradiance, std::size_t count, float* answer) {
+std::size_t answers(const ModelOfPoint& m, const ModelView& view, const DirectionLanes& lights,
+                    const std::array<const float*, 3>& irradiance, std::size_t count,
+                    const std::array<float*, 3>& answer) {
   const F f;
+  std::size_t facing = 0;
   withKind(m, [&](auto round, auto transmits) {
     for (std::size_t i = 0; i < count; i += kLanes) {
       const V x = hn::LoadU(f, lights.x + i), y = hn::LoadU(f, lights.y + i), z = hn::LoadU(f, lights.z + i);
       const V cosine = dot3(m.n, x, y, z);
       const auto faces = hn::Gt(cosine, hn::Zero(f));
-      V sum = hn::Zero(f);
-      if (!hn::AllFalse(f, faces))
-        values<round.value, transmits.value>(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
-          sum = hn::MulAdd(hn::LoadU(f, irradiance[c] + i), value, sum);
-        });
-      hn::StoreU(hn::IfThenElseZero(faces, hn::Max(sum, hn::Zero(f))), f, answer + i);
+      if (hn::AllFalse(f, faces)) {
+        for (float* channel : answer) hn::StoreU(hn::Zero(f), f, channel + i);
+        continue;
+      }
+      V shines = hn::Zero(f);
+      values<round.value, transmits.value>(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
+        const V irradiated = hn::LoadU(f, irradiance[c] + i);
+        shines = hn::Max(shines, irradiated);
+        hn::StoreU(hn::IfThenElseZero(faces, hn::Mul(irradiated, value)), f, answer[c] + i);
+      });
+      facing += hn::CountTrue(f, hn::And(faces, hn::Gt(shines, hn::Zero(f))));
     }
   });
+  return facing;
+}
+
+void keys(const std::array<const float*, 3>& answer, std::size_t count, float* key) {
+  const F f;
+  for (std::size_t i = 0; i < count; i += kLanes) {
+    const V sum =
+        hn::Add(hn::Add(hn::LoadU(f, answer[0] + i), hn::LoadU(f, answer[1] + i)), hn::LoadU(f, answer[2] + i));
+    hn::StoreU(hn::Max(sum, hn::Zero(f)), f, key + i);
+  }
+}
+
+void shownOf(const std::array<const float*, 3>& answer, const float* shown, std::size_t count,
+             std::array<float, 3>& result) {
+  const F f;
+  V sum[3][kParts];
+  for (auto& channel : sum)
+    for (V& part : channel) part = hn::Zero(f);
+  for (std::size_t i = 0; i < count; i += kVectorLanes)
+    for (std::size_t p = 0; p < kParts; ++p)
+      for (int c = 0; c < 3; ++c)
+        sum[c][p] =
+            hn::MulAdd(hn::LoadU(f, shown + i + p * kLanes), hn::LoadU(f, answer[c] + i + p * kLanes), sum[c][p]);
+  for (int c = 0; c < 3; ++c) result[c] = fold(sum[c]);
 }
 
 std::size_t largest(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
@@ -223,9 +254,9 @@ void shownTable(const float* lit, const float* facing, const float* disagree, st
   }
 }
 
-void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& lights, const std::int8_t* sight,
-             const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count, float* energy_about,
-             std::size_t& facing, std::array<float, 3>& result) {
+void distant(const std::array<float, 3>& n, const DistantLanes& lights, const std::array<const float*, 3>& answer,
+             const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count,
+             float* energy_about, std::array<float, 3>& result) {
   const F f;
   const I d;
   const hn::Rebind<std::int8_t, F> bytes;
@@ -234,36 +265,28 @@ void distant(const ModelOfPoint& m, const ModelView& view, const DistantLanes& l
   V sum[3][kParts];
   for (auto& channel : sum)
     for (V& part : channel) part = hn::Zero(f);
-  facing = 0;
-  withKind(m, [&](auto round, auto transmits) {
-    for (std::size_t i = 0; i < count; i += kVectorLanes)
-      for (std::size_t p = 0; p < kParts; ++p) {
-        const std::size_t at = i + p * kLanes;
-        const V x = hn::LoadU(f, lights.direction.x + at), y = hn::LoadU(f, lights.direction.y + at),
-                z = hn::LoadU(f, lights.direction.z + at);
-        const V cosine = dot3(m.n, x, y, z), energy = hn::LoadU(f, lights.energy + at);
-        const auto faces = hn::And(hn::Gt(cosine, hn::Zero(f)), hn::Gt(energy, hn::Zero(f)));
-        if (hn::AllFalse(f, faces)) continue;
-        const auto row = hn::Add(hn::PromoteTo(d, hn::LoadU(bytes, sight + at)), hn::Set(d, 1));
-        const auto near = hn::LoadU(d, reinterpret_cast<const std::int32_t*>(about) + at);
-        const V shown =
-            hn::IfThenElseZero(faces, hn::GatherIndex(f, shadow.shown, hn::Add(hn::Mul(row, stride), near)));
-        alignas(64) float energies[2 * kLanes];
-        hn::StoreInterleaved2(hn::Mul(shown, energy), hn::IfThenElseZero(faces, energy), f, energies);
-        facing += hn::CountTrue(f, faces);
-        // Neighbours in turn to two places: lights side by side mostly lie about the same captured one. Without
-        // branches.
-        for (std::size_t lane = 0; lane < kLanes; ++lane) {
-          float* const to = energy_about + std::size_t{4} * about[at + lane] + 2 * (lane % 2);
-          hn::Store(hn::Add(hn::Load(two, to), hn::Load(two, energies + 2 * lane)), two, to);
-        }
-        if (hn::AllTrue(f, hn::Eq(shown, hn::Zero(f)))) continue;
-        const V counts = shadow.trusted ? hn::Mul(shown, hn::GatherIndex(f, shadow.trusted, near)) : shown;
-        values<round.value, transmits.value>(m, &view, 1, x, y, z, cosine, [&](int c, V value) {
-          sum[c][p] = hn::MulAdd(hn::Mul(counts, hn::LoadU(f, lights.irradiance[c] + at)), value, sum[c][p]);
-        });
+  for (std::size_t i = 0; i < count; i += kVectorLanes)
+    for (std::size_t p = 0; p < kParts; ++p) {
+      const std::size_t at = i + p * kLanes;
+      const V cosine = dot3(n, hn::LoadU(f, lights.direction.x + at), hn::LoadU(f, lights.direction.y + at),
+                            hn::LoadU(f, lights.direction.z + at));
+      const V energy = hn::LoadU(f, lights.energy + at);
+      const auto faces = hn::And(hn::Gt(cosine, hn::Zero(f)), hn::Gt(energy, hn::Zero(f)));
+      if (hn::AllFalse(f, faces)) continue;
+      const auto row = hn::Add(hn::PromoteTo(d, hn::LoadU(bytes, sight + at)), hn::Set(d, 1));
+      const auto near = hn::LoadU(d, reinterpret_cast<const std::int32_t*>(about) + at);
+      const V shown = hn::IfThenElseZero(faces, hn::GatherIndex(f, shadow.shown, hn::Add(hn::Mul(row, stride), near)));
+      alignas(64) float energies[2 * kLanes];
+      hn::StoreInterleaved2(hn::Mul(shown, energy), hn::IfThenElseZero(faces, energy), f, energies);
+      // Neighbours in turn to two places: lights side by side mostly lie about the same captured one. Without
+      // branches.
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        float* const to = energy_about + std::size_t{4} * about[at + lane] + 2 * (lane % 2);
+        hn::Store(hn::Add(hn::Load(two, to), hn::Load(two, energies + 2 * lane)), two, to);
       }
-  });
+      const V counts = shadow.trusted ? hn::Mul(shown, hn::GatherIndex(f, shadow.trusted, near)) : shown;
+      for (int c = 0; c < 3; ++c) sum[c][p] = hn::MulAdd(counts, hn::LoadU(f, answer[c] + at), sum[c][p]);
+    }
   for (int c = 0; c < 3; ++c) result[c] = fold(sum[c]);
 }
 
@@ -427,6 +450,8 @@ HWY_AFTER_NAMESPACE();
 namespace srf {
 HWY_EXPORT(sums);
 HWY_EXPORT(answers);
+HWY_EXPORT(keys);
+HWY_EXPORT(shownOf);
 HWY_EXPORT(blend);
 HWY_EXPORT(largest);
 HWY_EXPORT(distant);
@@ -487,9 +512,18 @@ std::array<double, 3> modelSumsReference(const PointReflectance& point, const st
   }
   return sum;
 }
-void modelAnswers(const ModelOfPoint& model, const ModelView& view, const DirectionLanes& lights,
-                  const std::array<const float*, 3>& irradiance, std::size_t count, float* answer) {
-  HWY_DYNAMIC_DISPATCH(answers)(model, view, lights, irradiance, count, answer);
+std::size_t modelAnswers(const ModelOfPoint& model, const ModelView& view, const DirectionLanes& lights,
+                         const std::array<const float*, 3>& irradiance, std::size_t count,
+                         const std::array<float*, 3>& answer) {
+  return HWY_DYNAMIC_DISPATCH(answers)(model, view, lights, irradiance, count, answer);
+}
+void brightness(const std::array<const float*, 3>& answer, std::size_t count, float* key) {
+  HWY_DYNAMIC_DISPATCH(keys)(answer, count, key);
+}
+std::array<float, 3> shownSums(const std::array<const float*, 3>& answer, const float* shown, std::size_t count) {
+  std::array<float, 3> result;
+  HWY_DYNAMIC_DISPATCH(shownOf)(answer, shown, count, result);
+  return result;
 }
 std::size_t largestKeys(const float* key, std::size_t count, std::size_t most, std::uint32_t* position,
                         std::int32_t& about) {
@@ -502,11 +536,12 @@ void blendVectors(const std::array<const float*, 4>& vector, const std::array<fl
 void shownBySight(const float* lit, const float* facing, const float* disagree, std::size_t count, float* shown) {
   HWY_DYNAMIC_DISPATCH(shownTable)(lit, facing, disagree, count, shown);
 }
-std::array<float, 3> distantSums(const ModelOfPoint& model, const ModelView& view, const DistantLanes& lights,
-                                 const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow,
-                                 std::size_t count, float* energy, std::size_t& facing) {
+std::array<float, 3> distantSums(const std::array<float, 3>& n, const DistantLanes& lights,
+                                 const std::array<const float*, 3>& answer, const std::int8_t* sight,
+                                 const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count,
+                                 float* energy) {
   std::array<float, 3> result;
-  HWY_DYNAMIC_DISPATCH(distant)(model, view, lights, sight, about, shadow, count, energy, facing, result);
+  HWY_DYNAMIC_DISPATCH(distant)(n, lights, answer, sight, about, shadow, count, energy, result);
   return result;
 }
 void facingCaptured(const std::array<float, 3>& n, const CapturedLanes& lights, std::size_t count, float* lit,

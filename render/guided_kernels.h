@@ -51,10 +51,15 @@ std::array<double, 3> modelSumsReference(const PointReflectance& point, const st
 void blendVectors(const std::array<const float*, 4>& vector, const std::array<float, 4>& share, std::size_t count,
                   float* sum);
 
-/// answer[i] = sum over channels of irradiance[c][i] M_c(l_i, v): what a light that is not hidden adds to the picture;
-/// 0 below the horizon.
-void modelAnswers(const ModelOfPoint& model, const ModelView& view, const DirectionLanes& lights,
-                  const std::array<const float*, 3>& irradiance, std::size_t count, float* answer);
+/// answer[c][i] = irradiance[c][i] M_c(l_i, v): what a light that is not hidden adds to the picture; 0 below the
+/// horizon. Returns how many lights that are not black stand above it.
+std::size_t modelAnswers(const ModelOfPoint& model, const ModelView& view, const DirectionLanes& lights,
+                         const std::array<const float*, 3>& irradiance, std::size_t count,
+                         const std::array<float*, 3>& answer);
+/// key[i] = the sum of the channels of answer i, or 0 where that is below.
+void brightness(const std::array<const float*, 3>& answer, std::size_t count, float* key);
+/// sum over lights i of shown[i] answer[c][i], for each channel c.
+std::array<float, 3> shownSums(const std::array<const float*, 3>& answer, const float* shown, std::size_t count);
 /// The positions of the `most` largest keys above 0, or of all there are, rising; of equal ones the first. Returns how
 /// many; `position` holds `count` rounded up. `about`: where the search for the least of them begins, and then its
 /// bits; the answer does not depend on it, only the time.
@@ -67,8 +72,7 @@ enum LightSight : std::int8_t { kNotAsked = -1, kHidden = 0, kInSight = 1 };
 /// The distant lights of a frame.
 struct DistantLanes {
   DirectionLanes direction;
-  const float* energy;                     ///< sum of the channels of irradiance
-  std::array<const float*, 3> irradiance;  ///< on a plane facing the light
+  const float* energy;  ///< sum of the channels of irradiance on a plane facing the light
 };
 /// What the captured lights say of how much of a light about captured light i reaches a hit:
 /// shown[(sight + 1) * stride + i]; and how far the model is trusted about them (null: wholly).
@@ -81,15 +85,14 @@ struct CapturedShadow {
 /// 1. Where photographs and rays disagree (null: nowhere), all is drawn towards lit[i] by so much.
 void shownBySight(const float* lit, const float* facing, const float* disagree, std::size_t count, float* shown);
 
-/// The model's answer to all distant lights: sum over lights that the hit faces of shown irradiance[c] M_c, where
-/// `shown` is how much of the light reaches the hit by `sight` and by the captured light `about` it. Adds to
-/// energy[4 i] + energy[4 i + 2] what is shown of the energy about captured light i, and to energy[4 i + 1] + energy[4
-/// i
-/// + 3] all of it; returns in `facing` how many lights the hit faces. Only the sum counts less where the model is
-/// trusted less.
-std::array<float, 3> distantSums(const ModelOfPoint& model, const ModelView& view, const DistantLanes& lights,
-                                 const std::int8_t* sight, const std::uint32_t* about, const CapturedShadow& shadow,
-                                 std::size_t count, float* energy, std::size_t& facing);
+/// The model's answer to all distant lights: sum over lights that the hit faces of shown answer[c] (modelAnswers),
+/// where `shown` is how much of the light reaches the hit by `sight` and by the captured light `about` it. Adds to
+/// energy[4 i] + energy[4 i + 2] what is shown of the energy about captured light i, and to energy[4 i + 1] +
+/// energy[4 i + 3] all of it. Only the sum counts less where the model is trusted less.
+std::array<float, 3> distantSums(const std::array<float, 3>& n, const DistantLanes& lights,
+                                 const std::array<const float*, 3>& answer, const std::int8_t* sight,
+                                 const std::uint32_t* about, const CapturedShadow& shadow, std::size_t count,
+                                 float* energy);
 
 /// The captured lights of one list as hits see them.
 struct CapturedLanes {

@@ -125,10 +125,13 @@ TEST(GuidedKernels, DistantLightsCountAsTheyAreSeenOrAsTheCapturedLightAboutThem
     }
     const bool corrected = trial % 2;
     shownBySight(lit.data(), tells.data(), corrected ? disagree.data() : nullptr, kCaptured, shown.data());
-    std::size_t facing = 0;
-    const auto got = distantSums(model, view, {lights.lanes(), energy.data(), constant(lights.amount)}, sight.data(),
-                                 about.data(), {shown.data(), kCaptured, trial % 3 ? trusted.data() : nullptr}, lanes,
-                                 about_captured.data(), facing);
+    std::array<std::vector<float>, 3> answer;
+    for (auto& channel : answer) channel.resize(lanes);
+    const std::size_t facing = modelAnswers(model, view, lights.lanes(), constant(lights.amount), lanes,
+                                            {answer[0].data(), answer[1].data(), answer[2].data()});
+    const auto got =
+        distantSums(model.n, {lights.lanes(), energy.data()}, constant(answer), sight.data(), about.data(),
+                    {shown.data(), kCaptured, trial % 3 ? trusted.data() : nullptr}, lanes, about_captured.data());
     std::size_t want_facing = 0;
     std::vector<double> want_shown(kCaptured), want_all(kCaptured);
     for (std::uint32_t i = 0; i < lights.count; ++i) {
@@ -156,7 +159,7 @@ TEST(GuidedKernels, DistantLightsCountAsTheyAreSeenOrAsTheCapturedLightAboutThem
   }
 }
 
-TEST(GuidedKernels, AnswersAreTheModelsLightByLight) {
+TEST(GuidedKernels, AnswersAreTheModelsLightByLightAndSumAsTheyAreShown) {
   std::mt19937 random(12);
   for (int trial = 0; trial < 60; ++trial) {
     const Lights lights(1 + random() % 90, random);
@@ -165,8 +168,14 @@ TEST(GuidedKernels, AnswersAreTheModelsLightByLight) {
     if (trial % 2) point.alpha_y = point.alpha_x;
     ModelOfPoint model = modelOfPoint(point);
     const ModelView view = addView(model, point, floats(randomDirection(random)), 1);
-    std::vector<float> answers(lanes, 7);
-    modelAnswers(model, view, lights.lanes(), constant(lights.amount), lanes, answers.data());
+    std::array<std::vector<float>, 3> answer;
+    for (auto& channel : answer) channel.assign(lanes, 7);
+    std::size_t want_facing = 0;
+    const std::size_t facing = modelAnswers(model, view, lights.lanes(), constant(lights.amount), lanes,
+                                            {answer[0].data(), answer[1].data(), answer[2].data()});
+    std::vector<float> key(lanes), shown(lanes);
+    brightness(constant(answer), lanes, key.data());
+    std::array<double, 3> all{};
     for (std::size_t i = 0; i < lanes; ++i) {
       std::array<std::vector<float>, 3> alone;
       for (int c = 0; c < 3; ++c) {
@@ -176,9 +185,18 @@ TEST(GuidedKernels, AnswersAreTheModelsLightByLight) {
       const auto sum = modelSums(model, &view, 1, lights.lanes(), constant(alone), lanes);
       const float cosine = point.normal[0] * lights.direction[0][i] + point.normal[1] * lights.direction[1][i] +
                            point.normal[2] * lights.direction[2][i];
-      const float want = cosine > 0 ? sum[0] + sum[1] + sum[2] : 0;
-      ASSERT_NEAR(answers[i], want, 1e-5f * want + 1e-6f) << "trial " << trial << " light " << i;
+      want_facing += cosine > 0 && i < lights.count;
+      shown[i] = 0.01f * static_cast<float>(random() % 100);
+      for (int c = 0; c < 3; ++c) {
+        const float want = cosine > 0 ? sum[c] : 0;
+        ASSERT_NEAR(answer[c][i], want, 1e-5f * want + 1e-6f) << "trial " << trial << " light " << i;
+        all[c] += double{shown[i]} * double{answer[c][i]};
+      }
+      ASSERT_NEAR(key[i], std::max(0.f, answer[0][i] + answer[1][i] + answer[2][i]), 1e-6f * key[i]);
     }
+    ASSERT_EQ(facing, want_facing);
+    const auto sum = shownSums(constant(answer), shown.data(), lanes);
+    for (int c = 0; c < 3; ++c) ASSERT_NEAR(sum[c], all[c], 1e-5 * all[c] + 1e-6) << "trial " << trial;
   }
 }
 
