@@ -7,6 +7,7 @@
 #include <cstdio>
 #include <memory>
 #include <numeric>
+#include <random>
 
 #include "apps/program.h"
 #include "base/numeric.h"
@@ -261,6 +262,127 @@ void bareBlend(std::size_t hits, std::size_t lights) {
   });
 }
 
+// The kernels that make the residual's light weights of guided hits, over arrays at hand: shares of visibility bits,
+// which captured lights face, how much of the frame's lights is shown, the blend of four shared vectors, what counts of
+// it all, and the captured lights nearest to point lights.
+class BareResidualWeights {
+ public:
+  BareResidualWeights(const AcquiredLights& list, const FrameLights& lights, std::size_t hits)
+      : list_(list),
+        distant_(lights.distant.size()),
+        near_(lights.near_lights.size()),
+        pad_(paddedLanes(static_cast<std::size_t>(list.count()))),
+        known_(pad_, 0),
+        energy_(paddedLanes(distant_), 0),
+        about_(paddedLanes(distant_), 0),
+        own_((hits + kHits - 1) / kHits * kHits * 3 * pad_, 0) {
+    std::mt19937 random(1);
+    std::uniform_real_distribution<float> uniform(0, 1);
+    for (int c = 0; c < 3; ++c) {
+      captured_[c].assign(pad_, c == 2 ? 1.f : 0.f);
+      irradiance_[c].assign(pad_, 0);
+      direction_[c].assign(paddedLanes(distant_), c == 2 ? 1.f : 0.f);
+      for (auto& answer : answer_[c] = std::vector<float>(kHits * paddedLanes(distant_))) answer = uniform(random);
+    }
+    for (const std::uint32_t i : list.usable()) {
+      known_[i] = 1;
+      for (int c = 0; c < 3; ++c) {
+        captured_[c][i] = static_cast<float>(list.directionOf(i, {}).raw()[c]);
+        irradiance_[c][i] = 1;
+      }
+    }
+    std::vector<Penalised> order;
+    std::vector<Weighted> nearest;
+    for (std::size_t k = 0; k < distant_; ++k) {
+      const Vec3& d = lights.distant[k].direction.raw();
+      for (int c = 0; c < 3; ++c) direction_[c][k] = static_cast<float>(d[c]);
+      energy_[k] = static_cast<float>(maxComponent(lights.distant[k].irradiance));
+      list.nearest(Direction<AcquisitionSpace>::fromUnit(d), {}, order, nearest);
+      about_[k] = nearest[0].source;
+    }
+    // Three points of a hit that see much the same lights.
+    for (std::size_t i = 0; i < kHits; ++i) {
+      std::uint64_t common = random();
+      for (std::size_t p = 0; p < 3; ++p)
+        for (std::size_t w = 0; w < pad_ / 64 + 1; ++w)
+          rows_[i][p].push_back((common = common * 6364136223846793005u + 1) | (random() & random() & random()));
+      const double z = 1 - (static_cast<double>(i) + 0.5) * 2 / kHits, r = std::sqrt(1 - z * z),
+                   angle = 2.4 * static_cast<double>(i);
+      normal_[i] = {static_cast<float>(r * std::cos(angle)), static_cast<float>(r * std::sin(angle)),
+                    static_cast<float>(z)};
+      sight_[i].assign(paddedLanes(distant_), kNotAsked);
+      for (std::size_t k = 0; k < distant_; k += 32) sight_[i][k] = static_cast<std::int8_t>(random() % 2);
+    }
+  }
+  void run() {
+    const auto lanes = [](const auto& of, std::size_t from = 0) {
+      return std::array<const float*, 3>{of[0].data() + from, of[1].data() + from, of[2].data() + from};
+    };
+    const auto directions = [](const auto& of) { return DirectionLanes{of[0].data(), of[1].data(), of[2].data()}; };
+    const CapturedLanes captured{directions(captured_), known_.data(), lanes(irradiance_), lanes(irradiance_)};
+    parallelFor(own_.size() / (kHits * 3 * pad_), 16, [&](std::size_t begin, std::size_t end) {
+      std::vector<float> lit(pad_), usable(pad_), facing(pad_), gate(pad_, 1), shown(3 * pad_), energy(4 * pad_),
+          vectors(3 * pad_ * 8, 0.01f), blended(3 * pad_);
+      std::array<std::vector<float>, 3> used_direction, used_model;
+      for (int c = 0; c < 3; ++c) used_direction[c].resize(pad_), used_model[c].resize(pad_);
+      const std::array<float, 3> share{0.5f, 0.3f, 0.2f};
+      const std::optional<LightCells> cells = list_.cells();
+      std::vector<std::int32_t> cell(kHits);
+      std::vector<float> weight(kHits * static_cast<std::size_t>(list_.k()));
+      std::vector<std::uint32_t> light(weight.size());
+      std::array<std::vector<float>, 3> towards;
+      for (int c = 0; c < 3; ++c)
+        for (const auto& n : normal_) towards[c].push_back(n[c]);
+      for (std::size_t b = begin; b < end; ++b) {
+        for (std::size_t l = 0; cells && l < near_; ++l) {
+          lightCells(towards[0].data(), towards[1].data(), towards[2].data(), kHits, cells->resolution, cell.data());
+          nearestWeights(*cells, towards[0].data(), towards[1].data(), towards[2].data(), cell.data(), kHits, list_.k(),
+                         kHits, weight.data(), light.data());
+        }
+        for (std::size_t h = 0; h < kHits; ++h) {
+          const std::uint64_t* const rows[3] = {rows_[h][0].data(), rows_[h][1].data(), rows_[h][2].data()};
+          shareBits(rows, share.data(), 3, pad_, lit.data());
+          shareBits(rows, share.data(), 3, pad_, usable.data());
+          facingCaptured(normal_[h], captured, pad_, lit.data(), usable.data(), facing.data());
+          shownBySight(lit.data(), facing.data(), nullptr, pad_, shown.data());
+          std::fill(energy.begin(), energy.end(), 0.f);
+          distantSums(normal_[h], {directions(direction_), energy_.data()}, lanes(answer_, h * energy_.size()),
+                      sight_[h].data(), about_.data(), {shown.data(), pad_, nullptr}, energy_.size(), energy.data());
+          std::array<const float*, 4> of;
+          for (std::size_t i = 0; i < 4; ++i) of[i] = vectors.data() + (h + i) % 8 * 3 * pad_;
+          blendVectors(of, {0.4f, 0.3f, 0.2f, 0.1f}, 3 * pad_, blended.data());
+          const ResidualShares shares{0.2f,
+                                      0.2f,
+                                      2,
+                                      energy.data(),
+                                      gate.data(),
+                                      lit.data(),
+                                      usable.data(),
+                                      {blended.data(), blended.data() + pad_, blended.data() + 2 * pad_}};
+          std::size_t photographs = 0;
+          float* const own = own_.data() + (b * kHits + h) * 3 * pad_;
+          usedLights(captured, pad_, &shares, nullptr, {own, own + pad_, own + 2 * pad_},
+                     {{used_direction[0].data(), used_direction[1].data(), used_direction[2].data()},
+                      {used_model[0].data(), used_model[1].data(), used_model[2].data()}},
+                     photographs);
+        }
+      }
+    });
+  }
+
+ private:
+  static constexpr std::size_t kHits = 64;
+  const AcquiredLights& list_;
+  std::size_t distant_, near_, pad_;
+  std::vector<float> known_, energy_;
+  std::vector<std::uint32_t> about_;
+  std::vector<float> own_;  ///< what is made of each hit
+  std::array<std::vector<float>, 3> captured_, irradiance_, direction_, answer_;
+  std::array<std::array<std::vector<std::uint64_t>, 3>, kHits> rows_;
+  std::array<std::array<float, 3>, kHits> normal_;
+  std::array<std::vector<std::int8_t>, kHits> sight_;
+};
+
 // Streams `taps` texels of 3 x `lights` halves from `texels` (wrapping around) against one weight vector.
 float bareDot(const std::vector<std::uint16_t>& texels, std::size_t lights, std::size_t begin, std::size_t end,
               const std::vector<float>& weights) {
@@ -321,7 +443,8 @@ int main(int argc, char** argv) {
       render(frame_at(static_cast<int>(i)), unused);  // warm: blocks decoded
 
     std::map<std::string, bench::Series> stages;
-    bench::Series whole, embree, frames, refit, dot, views, blend, read, occlusion, model_values, stage_sum, limit_sum;
+    bench::Series whole, embree, frames, refit, dot, views, blend, read, occlusion, model_values, residual, stage_sum,
+        limit_sum;
     std::map<std::string, double> before = reporter.figures();
     std::map<std::string, std::uint64_t> counted = reporter.counters();
     double operations = 0, hits = 0, shadow_rays = 0, values = 0;
@@ -329,6 +452,9 @@ int main(int argc, char** argv) {
     for (std::size_t i = 0; i < texels.size(); ++i) texels[i] = static_cast<std::uint16_t>(0x3000 + i % 512);
     const std::size_t lights = manifest.views.empty() ? 16 : (manifest.views[0].lights.size() + 15) / 16 * 16;
     const std::vector<float> weights(3 * lights, 0.01f);
+    Box<AcquisitionSpace> box;
+    for (const auto& p : model.p0) box.extend(p);
+    const AcquiredLights list(manifest.views[0].lights, manifest.lights, box, scene.accuracy.lights);
     volatile float sink = 0;
     for (int i = 0; i < repeats; ++i) {
       const int frame = frame_at(i);
@@ -358,6 +484,8 @@ int main(int argc, char** argv) {
         occlusion.add(bench::milliseconds([&] { bare.trace(); }));
         model_values.add(
             bench::milliseconds([&] { bareModelValues(static_cast<std::size_t>(taken("model_values"))); }));
+        BareResidualWeights bare_weights(list, light_set.at(frame), static_cast<std::size_t>(taken("hits")));
+        residual.add(bench::milliseconds([&] { bare_weights.run(); }));
       }
       const auto hit_count = static_cast<std::size_t>(taken("hits"));
       if (hit_count > 0) {
@@ -375,10 +503,9 @@ int main(int argc, char** argv) {
       }));
       stage_sum.add(whole.values.back());
       double limits = 0;
-      for (const bench::Series* bare : {&embree, &frames, &refit, &views, &dot, &occlusion})
+      for (const bench::Series* bare : {&embree, &frames, &refit, &views, &dot, &occlusion, &model_values,
+                                        residual.values.empty() ? &blend : &residual})
         if (!bare->values.empty()) limits += bare->values.back();
-      limits +=
-          model_values.values.empty() ? (blend.values.empty() ? 0 : blend.values.back()) : model_values.values.back();
       limit_sum.add(limits);
       std::vector<std::uint64_t> partial(64);
       read.add(bench::milliseconds([&] {
@@ -459,8 +586,9 @@ int main(int argc, char** argv) {
       if (name == "shadows") against(occlusion, "bare occlusion loop");
       if (name == "deform") against(refit, "bare turn and refit");
       if (name == "views") against(views, "bare kernels");
-      if (name == "weights" && model_values.values.empty()) against(blend, "bare blend of vectors");
-      if (name == "weights") against(model_values, "bare model values");
+      if (name == "weights" && residual.values.empty()) against(blend, "bare blend of vectors");
+      if (name == "weights") against(residual, "bare residual weights");
+      if (name == "model_values") against(model_values, "bare model values");
       if (name == "execute") against(dot, "bare dot kernel");
       std::printf("| %s | %s | %s | %s |\n", name.c_str(), bench::shown(series).c_str(), limit.c_str(), ratio.c_str());
     }

@@ -103,6 +103,7 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
                                             std::to_string(most_views) + " can be rendered");
   settings.accuracy.views = std::max(1, settings.accuracy.views);
   settings.accuracy.lights = std::max(1, settings.accuracy.lights);
+  if (settings.fit) fit_marks = fitMarks(*settings.fit);
 
   std::vector<SourceView> views;
   std::vector<StoreGeometry> geometry;
@@ -178,7 +179,7 @@ FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& fra
   guide.min_distance = lighting.options().min_distance;
   guide.model_alone = state.settings.model_alone;
   state.stand_ins.prepare(lighting, state.working_bytes / 8);
-  guided.emplace(*state.settings.fit, lighting, state.stand_ins, at_rest ? *state.rest : deformed,
+  guided.emplace(*state.settings.fit, state.fit_marks, lighting, state.stand_ins, at_rest ? *state.rest : deformed,
                  state.selection->views(), state.list_of_view, guide);
 }
 

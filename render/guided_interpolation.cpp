@@ -77,10 +77,24 @@ CapturedLanes GuidedBlock::Captured::lanes() const {
   return {lanesOf(direction), known.data(), channels(irradiance), channels(inverse)};
 }
 
-GuidedLighting::GuidedLighting(const ReflectanceFit& fit, const FrameLighting& lighting, SharedStandIns& stand_ins,
+std::vector<std::uint8_t> fitMarks(const ReflectanceFit& fit) {
+  std::vector<std::uint8_t> marks(fit.points.size(), 0);
+  const std::size_t words = fit.lit.wordsPerPoint();
+  for (std::size_t p = 0; p < marks.size(); ++p) {
+    const bool worse =
+        std::any_of(fit.worse.row(p), fit.worse.row(p) + words, [](std::uint64_t word) { return word != 0; });
+    marks[p] = static_cast<std::uint8_t>((sameWords(fit.lit.row(p), fit.lit_by_rays.row(p), words) ? 0 : kOverruled) |
+                                         (worse ? kWorseSomewhere : 0));
+  }
+  return marks;
+}
+
+GuidedLighting::GuidedLighting(const ReflectanceFit& fit, std::span<const std::uint8_t> marks,
+                               const FrameLighting& lighting, SharedStandIns& stand_ins,
                                const DeformedModel& occluders, std::span<const SourceView> views,
                                std::span<const std::uint32_t> list_of_view, const Options& options)
     : fit_(fit),
+      marks_(marks),
       lighting_(lighting),
       stand_ins_(stand_ins),
       occluders_(occluders),
@@ -89,8 +103,7 @@ GuidedLighting::GuidedLighting(const ReflectanceFit& fit, const FrameLighting& l
       options_(options),
       distant_lanes_(paddedLanes(lighting.lights().distant.size())),
       near_lanes_(paddedLanes(lighting.lights().near_lights.size())),
-      offset_(std::max(kRayOffset * occluders.model().bounds().diameter(), occluders.model().positional_error)),
-      corrected_(fit.lit.words() != fit.lit_by_rays.words()) {
+      offset_(std::max(kRayOffset * occluders.model().bounds().diameter(), occluders.model().positional_error)) {
   energy_.assign(distant_lanes_, 0);
   for (int c = 0; c < 3; ++c) {
     irradiance_[c].assign(distant_lanes_, 0);
@@ -180,6 +193,7 @@ void GuidedLighting::evaluate(std::span<const GuidedQuery> queries, GuidedBlock&
     block.answer[c].resize(std::max(block.answer[c].size(), queries.size() * row()));
   }
   block.last_corner = {};
+  block.corners.clear();
   block.taken.clear();
   block.used = 0;
   for (GuidedBlock::Nearest& list : block.near_weights) list.weight.clear();
@@ -318,22 +332,17 @@ CapturedLanes GuidedLighting::readCaptured(std::uint32_t list_index, GuidedBlock
   for (std::vector<float>* of : {&block.lit, &block.usable, &block.facing, &block.disagree, &block.gate})
     of->resize(lanes);
   const SurfaceHit& surface = *hit.query.hit;
-  const std::span points(surface.point, static_cast<std::size_t>(surface.count));
-  const std::size_t words = fit_.lit.wordsPerPoint();
+  std::uint8_t marks = 0;
+  for (int i = 0; i < surface.count; ++i) marks |= marks_[surface.point[i]];
   share(fit_.lit, list_index, surface, block.lit);
   share(fit_.lit_around, list_index, surface, block.usable);
-  block.disagrees = corrected_ && std::any_of(points.begin(), points.end(), [&](std::uint32_t p) {
-                      return !sameWords(fit_.lit.row(p), fit_.lit_by_rays.row(p), words);
-                    });
+  block.disagrees = marks & kOverruled;
   if (block.disagrees) {
     share(fit_.lit_by_rays, list_index, surface, block.disagree);
     for (std::size_t i = 0; i < lanes; ++i)
       block.disagree[i] = captured.known[i] * std::fabs(block.lit[i] - block.disagree[i]);
   }
-  block.same_gate =
-      options_.model_alone || std::none_of(points.begin(), points.end(), [&](std::uint32_t p) {
-        return std::any_of(fit_.worse.row(p), fit_.worse.row(p) + words, [](std::uint64_t word) { return word != 0; });
-      });
+  block.same_gate = options_.model_alone || !(marks & kWorseSomewhere);
   if (block.same_gate) {
     std::fill(block.gate.begin(), block.gate.end(), hit.gate);
   } else {
@@ -426,6 +435,24 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, co
   return gate * shown;
 }
 
+void GuidedLighting::findCorners(GuidedBlock& block) const {
+  block.corners.resize(block.hits.size());
+  if (lighting_.options().only_orientation) {
+    std::fill(block.corners.begin(), block.corners.end(), lighting_.sharedCorners({}));
+    return;
+  }
+  const std::size_t lanes = paddedLanes(block.hits.size());
+  block.orientations.assign(9 * lanes, 0);
+  OrientationLanes of{};
+  for (int k = 0; k < 9; ++k) {
+    float* const m = block.orientations.data() + k * lanes;
+    for (std::size_t h = 0; h < block.hits.size(); ++h)
+      m[h] = static_cast<float>(block.hits[h].query.look_up->acquisition_from_object.raw().row[k / 3][k % 3]);
+    of.m[k] = m;
+  }
+  lighting_.sharedCorners(of, block.corners);
+}
+
 const SharedStandIns::Corner& GuidedLighting::corner(GuidedBlock& block, int slot, const SharedKey& key) const {
   // Neighbouring hits mostly want the same ones.
   for (int i = 0; i < 4; ++i) {
@@ -444,7 +471,8 @@ ResidualShares GuidedLighting::spreadShared(GuidedBlock& block, std::size_t inde
   const std::size_t pad = lightPad(list.count());
   const bool off = options_.shadows == Shadows::off;
 
-  const OrientationGrid::Blend blend = lighting_.sharedCorners(hit.query.look_up->acquisition_from_object);
+  if (block.corners.empty()) findCorners(block);
+  const OrientationGrid::Blend& blend = block.corners[index];
   std::array<const float*, 4> vectors{};
   const SharedStandIns::Corner* nearest = nullptr;  // of the corner that counts most
   float most = 0;
@@ -531,7 +559,7 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   if (near_count > 0) {
     findNear(block, list_index);
     const GuidedBlock::Nearest& found = block.near_weights[list_index];
-    block.reach.assign(near_lanes_, 0);
+    std::array<float, 3> sum{};
     const DirectionLanes l = lanesOf(block.near_direction, index * near_lanes_);
     const std::array<const float*, 3> irradiance = channels(std::as_const(block.near_irradiance), index * near_lanes_);
     for (std::size_t k = 0; k < near_count; ++k) {
@@ -545,12 +573,12 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
         block.weights.push_back({found.light[at], found.weight[at]});
       }
       if (block.weights.empty()) list.nearest(direction, look_up.p, block.order, block.weights);
-      block.reach[k] = spread(block, hit, captured, direction, dot3(hit.model.n, l.x[k], l.y[k], l.z[k]),
-                              static_cast<LightSight>(block.sight[index * row() + distant_lanes_ + k]),
-                              {irradiance[0][k], irradiance[1][k], irradiance[2][k]});
+      const float shown = spread(block, hit, captured, direction, dot3(hit.model.n, l.x[k], l.y[k], l.z[k]),
+                                 static_cast<LightSight>(block.sight[index * row() + distant_lanes_ + k]),
+                                 {irradiance[0][k], irradiance[1][k], irradiance[2][k]});
+      for (int c = 0; c < 3; ++c) sum[c] += shown * answer[c][distant_lanes_ + k];
     }
-    add(list_share, shownSums({answer[0] + distant_lanes_, answer[1] + distant_lanes_, answer[2] + distant_lanes_},
-                              block.reach.data(), near_lanes_));
+    add(list_share, sum);
   }
 
   for (const RestLight& rest : lights.rest) {  // a light of the capture itself: only the view differs
@@ -576,8 +604,9 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   LightWeights weights;
   weights.first_entry = static_cast<std::uint32_t>(out.entries.size());
   if (options_.model_alone) return out.append(weights, list.count());
-  block.own.resize(3 * pad);
-  float* const own = block.own.data();
+  weights.own = static_cast<std::uint32_t>(out.own.size());
+  out.own.resize(out.own.size() + 3 * pad);
+  float* const own = out.own.data() + weights.own;
   const bool few = shared;  // single lights: added to what stands for the others
   if (!few) {
     for (int c = 0; c < 3; ++c) {
@@ -626,9 +655,8 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
       const Rgb photograph{own[i], own[pad + i], own[2 * pad + i]};
       if (photograph != Rgb{}) out.entries.push_back({i, photograph});
     }
-  } else {
-    weights.own = static_cast<std::uint32_t>(out.own.size());
-    out.own.insert(out.own.end(), own, own + 3 * pad);
+    out.own.resize(weights.own);
+    weights.own = LightWeights::kNone;
   }
   return out.append(weights, list.count());
 }

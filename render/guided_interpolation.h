@@ -29,6 +29,12 @@
 
 namespace srf {
 
+/// What is rare among a fit's points, so that hits need not look for it: the photographs overrule the rays' bits about
+/// some light; guidance does worse about some.
+enum FitMark : std::uint8_t { kOverruled = 1, kWorseSomewhere = 2 };
+/// FitMarks of each point.
+std::vector<std::uint8_t> fitMarks(const ReflectanceFit& fit);
+
 /// What guided interpolation needs of a hit.
 struct GuidedQuery {
   const SurfaceHit* hit = nullptr;
@@ -47,6 +53,8 @@ struct GuidedBlock {
     float gate = 0, indirect = 0, indirect_shadow = 0;
   };
   std::vector<Hit> hits;
+  /// Of each hit, where hits share weights: FrameLighting::sharedCorners.
+  std::vector<OrientationGrid::Blend> corners;
   std::vector<std::int8_t> sight;  ///< LightSight of each hit and light of the frame (distant, then near)
   /// Of each near light and list the captured lights nearest to it as the hits see it (FrameLighting::Options::sharing
   /// allowing): weight and position of number j at [(light * k + j) * lanes + hit].
@@ -86,7 +94,7 @@ struct GuidedBlock {
   std::array<std::vector<float>, 3> photograph, model;  ///< their sums, where there are many
   std::vector<float> reach;                             ///< of lights of the frame: how much of each counts
   std::vector<float> shown, energy;                     ///< CapturedShadow, and of distantSums
-  std::vector<float> shared, keys, own;
+  std::vector<float> shared, keys, orientations;
   std::vector<std::uint32_t> positions;
   std::vector<ModelView> model_views;
   std::array<SharedKey, 4> last_key;  ///< the corners that the hit before asked for
@@ -120,9 +128,9 @@ class GuidedLighting {
     double min_distance = 0;   ///< units: least distance of a point light in A(d)
     bool model_alone = false;  ///< no residual: what the model would show without the photographs
   };
-  /// Everything must outlive it. `stand_ins`: prepared for the frame. `occluders`: the model whose shadows fall,
+  /// Everything must outlive it. `marks`: fitMarks. `stand_ins`: prepared for the frame. `occluders`: the model whose shadows fall,
   /// deformed or at rest.
-  GuidedLighting(const ReflectanceFit& fit, const FrameLighting& lighting, SharedStandIns& stand_ins,
+  GuidedLighting(const ReflectanceFit& fit, std::span<const std::uint8_t> marks, const FrameLighting& lighting, SharedStandIns& stand_ins,
                  const DeformedModel& occluders, std::span<const SourceView> views,
                  std::span<const std::uint32_t> list_of_view, const Options& options);
 
@@ -153,6 +161,7 @@ class GuidedLighting {
   };
   std::size_t row() const { return distant_lanes_ + near_lanes_; }
   void blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const;
+  void findCorners(GuidedBlock& block) const;
   /// Fills what the captured lights of a list say of a hit, and returns where they stand.
   CapturedLanes readCaptured(std::uint32_t list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
   void share(const VisibilityBits& bits, std::uint32_t list, const SurfaceHit& hit, std::vector<float>& shares) const;
@@ -169,6 +178,7 @@ class GuidedLighting {
   const SharedStandIns::Corner& corner(GuidedBlock& block, int slot, const SharedKey& key) const;
 
   const ReflectanceFit& fit_;
+  std::span<const std::uint8_t> marks_;
   const FrameLighting& lighting_;
   SharedStandIns& stand_ins_;
   const DeformedModel& occluders_;
@@ -180,7 +190,6 @@ class GuidedLighting {
   std::vector<float> energy_;                                 ///< of each distant light
   std::size_t distant_lanes_, near_lanes_;                    ///< lights of the frame, padded for the kernels
   double offset_;                                             ///< of shadow rays along the normal, units
-  bool corrected_;                                            ///< photographs overruled the rays' bits somewhere
 };
 
 }  // namespace srf

@@ -116,6 +116,36 @@ OrientationGrid::Blend FrameLighting::sharedCorners(
   return grid_->blend(acquisition_from_object);
 }
 
+void FrameLighting::sharedCorners(const OrientationLanes& orientations, std::span<OrientationGrid::Blend> blends) const {
+  struct Memory {
+    std::vector<std::int32_t> cell;
+    std::vector<float> fraction;
+  };
+  thread_local Memory memory;
+  const std::size_t stride = paddedLanes(blends.size());
+  memory.cell.resize(4 * stride);
+  memory.fraction.resize(3 * stride);
+  std::int32_t* const cell = memory.cell.data();
+  float* const fraction = memory.fraction.data();
+  const OrientationCells where{cell,
+                               {cell + stride, cell + 2 * stride, cell + 3 * stride},
+                               {fraction, fraction + stride, fraction + 2 * stride}};
+  orientationCells(orientations, blends.size(), grid_->halfCells(), where);
+  OrientationGrid::Place last{-1, {}, {}};
+  int last_tetrahedron = -1;
+  for (std::size_t i = 0; i < blends.size(); ++i) {
+    const OrientationGrid::Place place{where.code[i],
+                                       {where.cell[0][i], where.cell[1][i], where.cell[2][i]},
+                                       {where.fraction[0][i], where.fraction[1][i], where.fraction[2][i]}};
+    const int tetrahedron = OrientationGrid::tetrahedron(place);
+    if (place.code == last.code && place.cell == last.cell && tetrahedron == last_tetrahedron)
+      blends[i] = {blends[i - 1].corner, OrientationGrid::shares(place)};
+    else
+      blends[i] = grid_->blend(place);
+    last = place, last_tetrahedron = tetrahedron;
+  }
+}
+
 void FrameLighting::noteShared(std::uint32_t list, const LitPoint& point, LightGather& out, LightWeights& w) const {
   const OrientationGrid::Blend blend = sharedCorners(point.acquisition_from_object);
   // Neighbouring hits mostly want the same vectors: ask the last ones before the table.
@@ -199,12 +229,13 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
     std::vector<std::int32_t> cell;
     std::vector<std::uint32_t> light;
     std::vector<Rgb> irradiance;
+    std::vector<OrientationGrid::Blend> blends;
   };
   thread_local Memory memory;
   memory.lit.resize(12 * stride);
-  memory.lanes.resize(12 * stride);
+  memory.lanes.resize(9 * stride);
   memory.falloff.resize(stride);
-  memory.cell.resize(4 * stride);
+  memory.cell.resize(stride);
   float* const lane = memory.lanes.data();
   for (std::size_t i = 0; i < count; ++i) {
     const LitPoint& point = points[wanted[i].point];
@@ -218,42 +249,23 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
   for (int k = 0; k < 3; ++k) lit.p_star[k] = memory.lit.data() + k * stride;
   for (int k = 0; k < 9; ++k) lit.l[k] = memory.lit.data() + (3 + k) * stride;
 
-  const bool on_grid = shares(list_index) && !options_.only_orientation;
-  OrientationCells where{};
-  if (on_grid) {
+  memory.blends.assign(count, {{kOnlyOrientation}, {1}});
+  if (sharesOnGrid(list_index)) {
     OrientationLanes in{};
     for (int k = 0; k < 9; ++k) {
       float* const m = lane + k * stride;
       for (std::size_t i = 0; i < count; ++i) m[i] = static_cast<float>(lit.l[k][i]);
       in.m[k] = m;
     }
-    where = {memory.cell.data(),
-             {memory.cell.data() + stride, memory.cell.data() + 2 * stride, memory.cell.data() + 3 * stride},
-             {lane + 9 * stride, lane + 10 * stride, lane + 11 * stride}};
-    orientationCells(in, count, grid_->halfCells(), where);
+    sharedCorners(in, memory.blends);
   }
   const std::size_t first = out.weights.size();
   out.weights.resize(first + count);
-  OrientationGrid::Place last{-1, {}, {}};
-  int last_tetrahedron = -1;
-  OrientationGrid::Blend blend{{kOnlyOrientation}, {1}};
   std::array<std::uint32_t, 4> ids{};
   for (std::size_t i = 0; shares(list_index) && i < count; ++i) {
     LightWeights& w = out.weights[first + i];
-    bool same = i > 0;
-    if (on_grid) {
-      const OrientationGrid::Place place{where.code[i],
-                                         {where.cell[0][i], where.cell[1][i], where.cell[2][i]},
-                                         {where.fraction[0][i], where.fraction[1][i], where.fraction[2][i]}};
-      const int tetrahedron = OrientationGrid::tetrahedron(place);
-      same = place.code == last.code && place.cell == last.cell && tetrahedron == last_tetrahedron;
-      last = place, last_tetrahedron = tetrahedron;
-      if (same)
-        blend.share = OrientationGrid::shares(place);
-      else
-        blend = grid_->blend(place);
-    }
-    if (!same) ids.fill(LightWeights::kNone);
+    const OrientationGrid::Blend& blend = memory.blends[i];
+    if (i == 0 || blend.corner != memory.blends[i - 1].corner) ids.fill(LightWeights::kNone);
     w.share = blend.share;
     for (int c = 0; c < 4; ++c) {
       if (!(blend.share[c] > 0)) continue;

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "base/transform.h"
+#include "base/uninitialised.h"
 #include "render/acquired_lights.h"
 #include "render/light_set.h"
 #include "render/orientation_grid.h"
@@ -39,7 +40,7 @@ struct LightWeights {
 struct LightGather {
   std::vector<LightWeights> weights;
   std::vector<LightEntry> entries;
-  std::vector<float> own;
+  UninitialisedVector<float> own;
   SharedKeys wanted;
   std::vector<const float*> vectors;  ///< of `wanted`: SharedLightVectors
   std::vector<Penalised> scratch;
@@ -101,6 +102,10 @@ class FrameLighting {
   bool shares(std::uint32_t list) const;
   /// The corners of orientation whose shared vectors, blended, hold for an L. Where shares() is true.
   OrientationGrid::Blend sharedCorners(const Orthogonal<AcquisitionSpace, ObjectSpace>& acquisition_from_object) const;
+  /// The same of many, whose shares are off by at most 4e-7 of the grid's half cells. Where hits share on a grid.
+  void sharedCorners(const OrientationLanes& orientations, std::span<OrientationGrid::Blend> blends) const;
+  /// Whether they share on a grid of orientations.
+  bool sharesOnGrid(std::uint32_t list) const { return shares(list) && !options_.only_orientation; }
   /// Computes a shared vector: 3 * pad floats, exact for the corner's orientation. `nearest`: where not null, of each
   /// distant light the captured one that counts most.
   void computeShared(const SharedKey& key, float* vector, std::uint32_t* nearest = nullptr) const;
