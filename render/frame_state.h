@@ -86,7 +86,7 @@ struct FrameRenderer::State {
   std::optional<DeferredShading> shading;
   SharedStandIns stand_ins;
   std::vector<std::uint8_t> fit_marks;  ///< of a fit that guides
-  std::optional<DeformedModel> rest;  ///< what casts the rest pose's shadows, once they are asked for
+  std::optional<DeformedModel> rest;    ///< what casts the rest pose's shadows, once they are asked for
   SharedLightVectors shared;
   std::vector<std::array<double, 4>> sums;  ///< of each pixel of the frame at hand; kept for its memory
   std::vector<PixelBlock> blocks;           ///< likewise

@@ -90,9 +90,9 @@ std::vector<std::uint8_t> fitMarks(const ReflectanceFit& fit) {
 }
 
 GuidedLighting::GuidedLighting(const ReflectanceFit& fit, std::span<const std::uint8_t> marks,
-                               const FrameLighting& lighting, SharedStandIns& stand_ins,
-                               const DeformedModel& occluders, std::span<const SourceView> views,
-                               std::span<const std::uint32_t> list_of_view, const Options& options)
+                               const FrameLighting& lighting, SharedStandIns& stand_ins, const DeformedModel& occluders,
+                               std::span<const SourceView> views, std::span<const std::uint32_t> list_of_view,
+                               const Options& options)
     : fit_(fit),
       marks_(marks),
       lighting_(lighting),

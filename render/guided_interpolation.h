@@ -128,10 +128,10 @@ class GuidedLighting {
     double min_distance = 0;   ///< units: least distance of a point light in A(d)
     bool model_alone = false;  ///< no residual: what the model would show without the photographs
   };
-  /// Everything must outlive it. `marks`: fitMarks. `stand_ins`: prepared for the frame. `occluders`: the model whose shadows fall,
-  /// deformed or at rest.
-  GuidedLighting(const ReflectanceFit& fit, std::span<const std::uint8_t> marks, const FrameLighting& lighting, SharedStandIns& stand_ins,
-                 const DeformedModel& occluders, std::span<const SourceView> views,
+  /// Everything must outlive it. `marks`: fitMarks. `stand_ins`: prepared for the frame. `occluders`: the model whose
+  /// shadows fall, deformed or at rest.
+  GuidedLighting(const ReflectanceFit& fit, std::span<const std::uint8_t> marks, const FrameLighting& lighting,
+                 SharedStandIns& stand_ins, const DeformedModel& occluders, std::span<const SourceView> views,
                  std::span<const std::uint32_t> list_of_view, const Options& options);
 
   /// Turns the weights of a hit's views into guidance's, as far as the gate is open: they fall with n0 . v_i or its

@@ -116,7 +116,8 @@ OrientationGrid::Blend FrameLighting::sharedCorners(
   return grid_->blend(acquisition_from_object);
 }
 
-void FrameLighting::sharedCorners(const OrientationLanes& orientations, std::span<OrientationGrid::Blend> blends) const {
+void FrameLighting::sharedCorners(const OrientationLanes& orientations,
+                                  std::span<OrientationGrid::Blend> blends) const {
   struct Memory {
     std::vector<std::int32_t> cell;
     std::vector<float> fraction;
