@@ -130,28 +130,35 @@ AcquiredLights::Cell AcquiredLights::cell(const Vec3& direction) const {
   return {begin_[c], begin_[c + 1]};
 }
 
+std::span<const double> AcquiredLights::chord2OfCell(const Cell& of, const Direction<AcquisitionSpace>& direction,
+                                                     const Point<AcquisitionSpace>& p) const {
+  const std::size_t count = of.end - of.begin;
+  thread_local std::vector<double> memory;
+  if (memory.size() < count) memory.resize(count);
+  double* const chord2 = memory.data();
+  const Vec3& d = direction.raw();
+  if (distant_) {
+    squaredChords(d, candidate_direction_[0].data() + of.begin, candidate_direction_[1].data() + of.begin,
+                  candidate_direction_[2].data() + of.begin, count, chord2);
+  } else {
+    for (std::size_t c = 0; c < count; ++c) {
+      const Vec3 difference = d - lights_[candidates_[of.begin + c]].directionFrom(p).raw();
+      chord2[c] = dot(difference, difference);
+    }
+  }
+  return {chord2, count};
+}
+
 void AcquiredLights::ranked(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p,
                             std::vector<Penalised>& scratch) const {
   scratch.clear();
   if (usable_.empty()) return;
   // Ranked by the square of the chord, which grows with the angle and keeps the digits of small ones; only the k + 1
   // nearest pay for an arcsine.
-  const Vec3 d = direction.raw();
-  const auto [begin, end] = cell(d);
-  const std::size_t count = end - begin;
-  const std::uint32_t* const candidates = candidates_.data() + begin;
-  thread_local std::vector<double> memory;
-  if (memory.size() < count) memory.resize(count);
-  double* const chord2 = memory.data();
-  if (distant_) {
-    squaredChords(d, candidate_direction_[0].data() + begin, candidate_direction_[1].data() + begin,
-                  candidate_direction_[2].data() + begin, count, chord2);
-  } else {
-    for (std::size_t c = 0; c < count; ++c) {
-      const Vec3 difference = d - lights_[candidates[c]].directionFrom(p).raw();
-      chord2[c] = dot(difference, difference);
-    }
-  }
+  const Cell of = cell(direction.raw());
+  const std::span<const double> chord2 = chord2OfCell(of, direction, p);
+  const std::size_t count = chord2.size();
+  const std::uint32_t* const candidates = candidates_.data() + of.begin;
   const std::size_t wanted = std::min<std::size_t>(k_ + std::size_t{1}, count);
   scratch.assign(wanted, {std::numeric_limits<double>::infinity(), ~0u});
   Penalised* const least = scratch.data();
@@ -193,16 +200,9 @@ double AcquiredLights::distanceTo(std::uint32_t i, const Point<AcquisitionSpace>
                                              : std::numeric_limits<double>::infinity();
 }
 
-double AcquiredLights::angleToNearest(const Direction<AcquisitionSpace>& direction,
-                                      const Point<AcquisitionSpace>& p) const {
-  Vec3 nearest = -1.0 * direction.raw();
-  double most = -2;
-  const auto [begin, end] = cell(direction.raw());
-  for (std::size_t c = begin; c < end; ++c) {
-    const Vec3 towards = lights_[candidates_[c]].directionFrom(p).raw();
-    if (const double cosine = dot(towards, direction.raw()); cosine > most) most = cosine, nearest = towards;
-  }
-  return angleBetweenUnit(nearest, direction.raw());
+double AcquiredLights::chord2ToNearest(const Direction<AcquisitionSpace>& direction,
+                                       const Point<AcquisitionSpace>& p) const {
+  return std::ranges::min(chord2OfCell(cell(direction.raw()), direction, p));
 }
 
 Vec3 AcquiredLights::inverseIrradiance(std::uint32_t i, const Point<AcquisitionSpace>& p) const {

@@ -52,8 +52,9 @@ class AcquiredLights {
   }
   /// Units from p to light i, infinite for a distant one.
   double distanceTo(std::uint32_t i, const Point<AcquisitionSpace>& p) const;
-  /// Radians from `direction` at p to the nearest light of known direction. Where there is one.
-  double angleToNearest(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p) const;
+  /// The square of the chord from `direction` at p to the nearest light of known direction (chordAngles). Where there
+  /// is one.
+  double chord2ToNearest(const Direction<AcquisitionSpace>& direction, const Point<AcquisitionSpace>& p) const;
   /// 1 / irradiance of light i at p per channel; 0 in a channel where the light is dark.
   Vec3 inverseIrradiance(std::uint32_t i, const Point<AcquisitionSpace>& p) const;
 
@@ -62,6 +63,9 @@ class AcquiredLights {
     std::size_t begin, end;  ///< in candidates_
   };
   Cell cell(const Vec3& direction) const;
+  /// To each candidate of a cell, from `direction` at p. In memory of the thread, until the next call.
+  std::span<const double> chord2OfCell(const Cell& cell, const Direction<AcquisitionSpace>& direction,
+                                       const Point<AcquisitionSpace>& p) const;
 
   std::vector<LightId> ids_;
   std::vector<CaptureLight> lights_;

@@ -8,6 +8,7 @@
 #include "base/color.h"
 #include "base/numeric.h"
 #include "model/local_frame.h"
+#include "render/view_kernels.h"
 
 namespace srf {
 namespace {
@@ -129,20 +130,27 @@ HitSupport CaptureSupport::at(const SurfaceHit& hit, const LookUp& look_up, std:
   const std::uint32_t index = list_of_view_[most->view];
   const AcquiredLights& list = lists_[index];
   double all = 0, far = 0, angles = 0;
+  thread_local std::vector<double> gives, angle;
+  gives.clear(), angle.clear();
   const auto add = [&](const Direction<ObjectSpace>& to_light, const Vec3& irradiance) {
     const Direction<AcquisitionSpace> l = look_up.acquisition_from_object * to_light;
     const double given = std::max(0.0, dot(look_up.normal.raw(), l.raw())) * dot(kLuminance, irradiance);
     if (!(given > 0)) return;
-    const double angle = list.angleToNearest(l, look_up.p);
-    all += given;
-    angles += given * angle;
-    if (angle > light_spacing_[index] + kRounding) far += given;
+    gives.push_back(given), angle.push_back(list.chord2ToNearest(l, look_up.p));
   };
   for (const DistantLight& light : lighting.lights().distant) add(light.direction, light.irradiance);
   for (const NearLight& light : lighting.lights().near_lights) {
     const Vector<ObjectSpace> to_light = light.position - hit.p_star;
     const double d = std::max(length(to_light), lighting.options().min_distance);
     if (const auto direction = normalize(to_light)) add(*direction, light.intensity / (d * d));
+  }
+  const std::size_t count = gives.size();
+  angle.resize(paddedLanes(count), 0);
+  for (std::size_t i = 0; i < angle.size(); i += kVectorLanes) chordAngles(angle.data() + i, kVectorLanes);
+  for (std::size_t i = 0; i < count; ++i) {
+    all += gives[i];
+    angles += gives[i] * angle[i];
+    if (angle[i] > light_spacing_[index] + kRounding) far += gives[i];
   }
   for (const RestLight& light : lighting.lights().rest) {  // one of the acquired themselves
     const auto at = list.find(light.light);
