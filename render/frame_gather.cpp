@@ -197,11 +197,12 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
     if (first_of_pixel && (support || layers)) {
       const int x = static_cast<int>(pixels[met[m]] % width), y = static_cast<int>(pixels[met[m]] / width);
       std::optional<HitSupport> hit_support;
-      if (support && (layers || (x % 2 == 0 && y % 2 == 0))) {
+      const bool summed = x % plan.support_step == 0 && y % plan.support_step == 0;
+      if (support && (layers || summed)) {
         const auto asked = Clock::now();
         hit_support = support->at(hit, look_ups[m], chosen.of(m), chosen.result[m], plan.lighting);
         supporting += Clock::now() - asked;
-        if (x % 2 == 0 && y % 2 == 0) out.support.add(*hit_support);
+        if (summed) out.support.add(*hit_support);
       }
       if (layers)
         layers->set(x, y,

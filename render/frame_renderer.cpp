@@ -1,6 +1,7 @@
 #include "render/frame_renderer.h"
 
 #include <algorithm>
+#include <bit>
 #include <chrono>
 #include <cmath>
 #include <limits>
@@ -156,6 +157,8 @@ FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& fra
       lens(effects.lens),
       pattern(samplePattern(samplesOf(state.settings, frame_camera, deformed_model))),
       sparse(state.settings.accuracy.sparse_shading && pattern.size() == 1),
+      support_step(static_cast<int>(
+          std::bit_floor(static_cast<unsigned>(std::max(128, std::min(camera.lens.width, camera.lens.height)) / 128)))),
       cover(effects.lens || effects.ground ? ScreenCover() : ScreenCover(frame_camera, deformed_model)),
       lighting(frame_lights, state.lists, lightingOptions(state, deformed_model, frame_lights)) {
   for (std::size_t v = 0; v < state.stores.size(); ++v)

@@ -106,6 +106,7 @@ struct FramePlan {
   std::optional<ThinLens> lens;  ///< none: a pinhole
   std::vector<Vec2> pattern;     ///< samples of a pixel
   bool sparse;                   ///< Accuracy::sparse_shading, of one sample a pixel
+  int support_step;              ///< FrameSupport is of every so manieth pixel, both ways: some 128 x 128 of a frame
   ScreenCover cover;
   FrameLighting lighting;
   std::optional<GuidedLighting> guided;  ///< none where nothing guides

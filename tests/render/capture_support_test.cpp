@@ -86,8 +86,8 @@ TEST_F(CaptureSupportTest, LightFromWhereNoneWasIsExtrapolated) {
   ASSERT_GT(degreesToNearest(below), 90);
   const Frame frame = render(from(below));
   double far = 0, shown = 0;
-  for (int y = 0; y < 32; y += 2)
-    for (int x = 0; x < 32; x += 2) {
+  for (int y = 0; y < 32; ++y)
+    for (int x = 0; x < 32; ++x) {
       if (frame.rgba.at(x, y, 3) == 0) continue;
       ++shown;
       far += frame.layers.at("extrapolation").at(x, y);
