@@ -89,10 +89,55 @@ std::vector<std::array<double, 3>> hitColors(const ShadingBatch& shading,
 
 float pixelValue(double sum, std::size_t samples, std::size_t& not_finite) {
   constexpr double kMost = std::numeric_limits<float>::max();
-  const double value = sum / static_cast<double>(samples);
+  const double value = samples == 1 ? sum : sum / static_cast<double>(samples);
   not_finite += !(std::fabs(value) <= kMost);
   return static_cast<float>(std::isnan(value) ? 0 : std::clamp(value, -kMost, kMost));
 }
+
+namespace {
+
+/// Writes the pixels of a piece; says how many of their values were not finite.
+std::size_t resolve(const PixelBlock& block, const ShadingBatch& shading, std::size_t samples, ImageF& rgba) {
+  constexpr std::size_t kPixels = kPixelBlock * kPixelBlock;
+  using Sum = std::array<double, 4>;  // double: with many samples a float would lose digits
+  std::array<Sum, kPixels> sums;
+  std::array<std::uint32_t, kPixels> pixel_of;
+  std::array<bool, kPixels> known{};
+  const auto width = static_cast<std::uint32_t>(rgba.width());
+  const auto sumOf = [&](std::uint32_t pixel) -> Sum& {
+    const std::uint32_t y = pixel / width, x = pixel - y * width;
+    const std::size_t at = y % kPixelBlock * kPixelBlock + x % kPixelBlock;
+    if (!known[at]) known[at] = true, pixel_of[at] = pixel, sums[at] = {};
+    return sums[at];
+  };
+  const auto colors = hitColors(shading, block.guided);
+  thread_local std::vector<const Sum*> sum_of;  // of each target
+  sum_of.clear();
+  for (std::size_t t = 0; t < colors.size(); ++t) {
+    Sum& sum = sumOf(block.pixel[t]);
+    for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
+    sum[3] += block.alpha.empty() ? 1 : block.alpha[t];
+    sum_of.push_back(&sum);
+  }
+  for (const PixelBetween& between : block.between) {
+    Sum& sum = sumOf(between.pixel);
+    const double share = 1.0 / between.count;  // of 2 or 4: exact
+    for (int n = 0; n < between.count; ++n)
+      for (int c = 0; c < 4; ++c) sum[c] += share * (*sum_of[between.neighbour[n]])[c];
+  }
+  for (const GroundSample& sample : block.ground) {
+    Sum& sum = sumOf(sample.pixel);
+    for (int c = 0; c < 4; ++c) sum[c] += sample.rgba[c];
+  }
+  std::size_t not_finite = 0;
+  for (std::size_t at = 0; at < kPixels; ++at)
+    if (known[at])
+      for (int c = 0; c < 4; ++c)
+        rgba.data()[4 * std::size_t{pixel_of[at]} + c] = pixelValue(sums[at][c], samples, not_finite);
+  return not_finite;
+}
+
+}  // namespace
 
 FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfManifest& manifest,
                             const DeformableModel& model, const FrameSettings& frame_settings, Reporter& frame_reporter)
@@ -200,12 +245,8 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   const FramePlan plan(s, camera, deformed, lights, effects);
   lap("weights");
 
-  // Double sums: with many samples a float would lose digits.
-  std::vector<std::array<double, 4>>& sums = s.sums;
-  sums.resize(static_cast<std::size_t>(width) * height);
-  parallelFor(height, 16, [&](std::size_t begin, std::size_t end) {
-    std::fill(sums.begin() + begin * width, sums.begin() + end * width, std::array<double, 4>{});
-  });
+  Frame frame;
+  frame.rgba = ImageF(width, height, 4);
   lap("resolve");
   Layers layers(s.settings.layers, s.settings.accuracy.views, width, height);
   const int pieces = pixelPieces(camera, plan.pattern.size());
@@ -215,6 +256,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   const std::size_t piece_rays = piecePixels(plan.pattern.size()) * plan.pattern.size();
   const int group = static_cast<int>(std::clamp<std::size_t>(budget / 4 / (piece_rays * ray_bytes), 1, 256));
   std::uint64_t hit_count = 0, operation_count = 0, vector_count = 0;
+  std::size_t not_finite = 0;
   std::vector<std::uint64_t> first_plan;  // of the frame
   FrameSupport frame_support;
   for (int next = 0; next < pieces;) {
@@ -276,26 +318,13 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     s.shading->execute(shading, s.settings.order);  // M15
     if (first_plan.empty()) first_plan = s.shading->lastPlan();
     lap("execute");
+    std::vector<std::size_t> not_finite_of(batch.size());
     parallelFor(batch.size(), 16, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t b = begin; b < end; ++b) {
-        const auto colors = hitColors(shading[b], batch[b].guided);
-        for (std::size_t t = 0; t < colors.size(); ++t) {
-          auto& sum = sums[batch[b].pixel[t]];
-          for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
-          sum[3] += batch[b].alpha.empty() ? 1 : batch[b].alpha[t];
-        }
-        for (const PixelBetween& between : batch[b].between) {
-          auto& sum = sums[between.pixel];
-          for (int n = 0; n < between.count; ++n) {
-            const auto& neighbour = sums[batch[b].pixel[between.neighbour[n]]];
-            for (int c = 0; c < 4; ++c) sum[c] += neighbour[c] / between.count;
-          }
-        }
-        for (const GroundSample& sample : batch[b].ground)
-          for (int c = 0; c < 4; ++c) sums[sample.pixel][c] += sample.rgba[c];
-      }
+      for (std::size_t b = begin; b < end; ++b)
+        not_finite_of[b] = resolve(batch[b], shading[b], plan.pattern.size(), frame.rgba);
     });
     lap("resolve");
+    not_finite = std::accumulate(not_finite_of.begin(), not_finite_of.end(), not_finite);
     std::uint64_t collapsed = 0, not_seen = 0, no_view = 0, shadow_rays = 0, model_values = 0, ground_rays = 0,
                   ground_samples = 0, not_told = 0, between = 0;
     for (std::size_t b = 0; b < batch.size(); ++b) {
@@ -326,16 +355,6 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   }
 
   s.cache->plan(first_plan);  // while the next frame is gathered
-  Frame frame;
-  frame.rgba = ImageF(width, height, 4);
-  std::vector<std::size_t> not_finite_of(height);
-  parallelFor(height, 16, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t y = begin; y < end; ++y)
-      for (std::size_t i = y * width; i < (y + 1) * width; ++i)
-        for (int c = 0; c < 4; ++c)
-          frame.rgba.data()[4 * i + c] = pixelValue(sums[i][c], plan.pattern.size(), not_finite_of[y]);
-  });
-  const std::size_t not_finite = std::accumulate(not_finite_of.begin(), not_finite_of.end(), std::size_t{0});
   frame.layers = layers.take();
   if (s.settings.support) frame.support = frame_support;
   lap("resolve");

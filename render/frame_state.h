@@ -87,9 +87,8 @@ struct FrameRenderer::State {
   SharedStandIns stand_ins;
   std::optional<DeformedModel> rest;  ///< what casts the rest pose's shadows, once they are asked for
   SharedLightVectors shared;
-  std::vector<std::array<double, 4>> sums;  ///< of each pixel of the frame at hand; kept for its memory
-  std::vector<PixelBlock> blocks;           ///< likewise
-  std::map<std::string, double> seconds;    ///< by stage, over all frames
+  std::vector<PixelBlock> blocks;         ///< of the frame at hand; kept for their memory
+  std::map<std::string, double> seconds;  ///< by stage, over all frames
 };
 
 /// What is decided once for a frame, before its first ray: which lights, by which weights, which views may serve, where
