@@ -90,7 +90,8 @@ std::vector<std::array<double, 3>> hitColors(const ShadingBatch& shading,
 float pixelValue(double sum, std::size_t samples, std::size_t& not_finite) {
   constexpr double kMost = std::numeric_limits<float>::max();
   const double value = samples == 1 ? sum : sum / static_cast<double>(samples);
-  not_finite += !(std::fabs(value) <= kMost);
+  if (std::fabs(value) <= kMost) return static_cast<float>(value);
+  ++not_finite;
   return static_cast<float>(std::isnan(value) ? 0 : std::clamp(value, -kMost, kMost));
 }
 
@@ -98,39 +99,34 @@ namespace {
 
 /// Writes the pixels of a piece; says how many of their values were not finite.
 std::size_t resolve(const PixelBlock& block, const ShadingBatch& shading, std::size_t samples, ImageF& rgba) {
-  constexpr std::size_t kPixels = kPixelBlock * kPixelBlock;
   using Sum = std::array<double, 4>;  // double: with many samples a float would lose digits
-  std::array<Sum, kPixels> sums;
-  std::array<std::uint32_t, kPixels> pixel_of;
-  std::array<bool, kPixels> known{};
+  std::array<Sum, kBlockPixels> sums;
+  std::array<std::uint32_t, kBlockPixels> pixel_of;
+  std::array<bool, kBlockPixels> known{};
   const auto width = static_cast<std::uint32_t>(rgba.width());
   const auto sumOf = [&](std::uint32_t pixel) -> Sum& {
-    const std::uint32_t y = pixel / width, x = pixel - y * width;
-    const std::size_t at = y % kPixelBlock * kPixelBlock + x % kPixelBlock;
+    const std::size_t at = placeInBlock(pixel, width);
     if (!known[at]) known[at] = true, pixel_of[at] = pixel, sums[at] = {};
     return sums[at];
   };
   const auto colors = hitColors(shading, block.guided);
-  thread_local std::vector<const Sum*> sum_of;  // of each target
-  sum_of.clear();
   for (std::size_t t = 0; t < colors.size(); ++t) {
     Sum& sum = sumOf(block.pixel[t]);
     for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
     sum[3] += block.alpha.empty() ? 1 : block.alpha[t];
-    sum_of.push_back(&sum);
   }
   for (const PixelBetween& between : block.between) {
     Sum& sum = sumOf(between.pixel);
     const double share = 1.0 / between.count;  // of 2 or 4: exact
     for (int n = 0; n < between.count; ++n)
-      for (int c = 0; c < 4; ++c) sum[c] += share * (*sum_of[between.neighbour[n]])[c];
+      for (int c = 0; c < 4; ++c) sum[c] += share * sums[between.neighbour[n]][c];
   }
   for (const GroundSample& sample : block.ground) {
     Sum& sum = sumOf(sample.pixel);
     for (int c = 0; c < 4; ++c) sum[c] += sample.rgba[c];
   }
   std::size_t not_finite = 0;
-  for (std::size_t at = 0; at < kPixels; ++at)
+  for (int at = 0; at < kBlockPixels; ++at)
     if (known[at])
       for (int c = 0; c < 4; ++c)
         rgba.data()[4 * std::size_t{pixel_of[at]} + c] = pixelValue(sums[at][c], samples, not_finite);
@@ -199,7 +195,7 @@ FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& fra
       deformed(deformed_model),
       lens(effects.lens),
       pattern(samplePattern(samplesOf(state.settings, frame_camera, deformed_model))),
-      sparse(state.settings.accuracy.sparse_shading && pattern.size() == 1),
+      shading(pattern.size() == 1 ? state.settings.accuracy.shading : Shading::every),
       cover(effects.lens || effects.ground ? ScreenCover() : ScreenCover(frame_camera, deformed_model)),
       lighting(frame_lights, state.lists, lightingOptions(state, deformed_model, frame_lights)) {
   for (std::size_t v = 0; v < state.stores.size(); ++v)

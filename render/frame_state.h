@@ -35,7 +35,7 @@ struct PixelBlock {
   std::vector<std::uint32_t> pixel;           ///< of each target
   std::vector<std::array<double, 3>> guided;  ///< of each target: what the model gives and takes; empty: plain
   std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
-  std::vector<PixelBetween> between;  ///< neighbours are targets
+  std::vector<PixelBetween> between;  ///< in this order
   std::vector<GroundSample> ground;   ///< where a ground is asked for
   std::vector<double> alpha;          ///< of each target, where a matte is asked for; else each is 1
   std::uint64_t shadow_rays = 0, model_values = 0, ground_rays = 0, shadows_not_told = 0;
@@ -103,7 +103,7 @@ struct FramePlan {
   const DeformedModel& deformed;
   std::optional<ThinLens> lens;  ///< none: a pinhole
   std::vector<Vec2> pattern;     ///< samples of a pixel
-  bool sparse;                   ///< Accuracy::sparse_shading, of one sample a pixel
+  Shading shading;               ///< Accuracy::shading of one sample a pixel; of several every one is shaded
   ScreenCover cover;
   FrameLighting lighting;
   std::optional<GuidedLighting> guided;  ///< none where nothing guides

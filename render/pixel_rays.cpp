@@ -36,7 +36,6 @@ void PixelRays::add(const Camera<ObjectSpace>& camera, const std::optional<ThinL
 
 namespace {
 
-constexpr int kBlockPixels = kPixelBlock * kPixelBlock;
 // A packet of rays traces the faster the closer they lie: 4 x 4 pixels one after the other.
 constexpr int kPacketSide = 4, kPacketPixels = kPacketSide * kPacketSide;
 static_assert(kPixelBlock % kPacketSide == 0 && ScreenCover::kCell % kPacketSide == 0);
