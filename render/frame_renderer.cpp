@@ -1,6 +1,7 @@
 #include "render/frame_renderer.h"
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <limits>
@@ -39,21 +40,38 @@ std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> onlyOrientation(const D
                                                                          FrameMode mode) {
   constexpr double kSame = 1e-9;  // far above rounding, far below what weights of lights can show
   const DeformableModel& model = deformed.model();
-  std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> only;
-  for (std::size_t i = 0; i < model.size(); ++i) {
-    SurfaceHit hit;
+  if (model.size() == 0) return std::nullopt;
+  const auto hitAt = [&](std::size_t i, SurfaceHit& hit) {
     hit.acquisition_from_tangent = rotationFromRodrigues(model.r0[i]);
     hit.tangents = deformed.tangents()[i];
-    const LookUp look_up = lookUp(hit, mode);
-    if (look_up.collapsed) return std::nullopt;
-    if (!only) only = look_up.acquisition_from_object;
-    for (int row = 0; row < 3; ++row)
-      for (int column = 0; column < 3; ++column)
-        if (!(std::fabs(look_up.acquisition_from_object.raw().row[row][column] - only->raw().row[row][column]) <=
-              kSame))
-          return std::nullopt;
-  }
-  return only;
+  };
+  SurfaceHit first;
+  hitAt(0, first);
+  const Mat3 only = lookUp(first, mode).acquisition_from_object.raw();
+  std::atomic<bool> differ = false;
+  parallelFor(model.size(), 4096, [&](std::size_t begin, std::size_t end) {
+    constexpr std::size_t kAtOnce = 64;
+    std::array<SurfaceHit, kAtOnce> hits;
+    std::array<LookUp, kAtOnce> look_ups;
+    std::array<std::size_t, kAtOnce> which;
+    std::iota(which.begin(), which.end(), std::size_t{0});
+    for (std::size_t i = begin; i < end && !differ; i += kAtOnce) {
+      const std::size_t count = std::min(kAtOnce, end - i);
+      for (std::size_t k = 0; k < count; ++k) hitAt(i + k, hits[k]);
+      lookUp(hits, std::span(which).first(count), mode, look_ups);
+      for (std::size_t k = 0; k < count; ++k) {
+        bool same = !look_ups[k].collapsed;
+        for (int row = 0; row < 3; ++row)
+          for (int column = 0; column < 3; ++column) {
+            const double off = look_ups[k].acquisition_from_object.raw().row[row][column] - only.row[row][column];
+            same = same && std::fabs(off) <= kSame;
+          }
+        if (!same) differ = true;
+      }
+    }
+  });
+  if (differ) return std::nullopt;
+  return Orthogonal<AcquisitionSpace, ObjectSpace>(only);
 }
 
 FrameLighting::Options lightingOptions(const FrameRenderer::State& state, const DeformedModel& deformed,
