@@ -204,12 +204,15 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
   if (factor > 0) plan.back()["factor"] = factor;
   add("shared light weights", !rigid && scene.accuracy.light_sharing > 0,
       "/accuracy/light_sharing is " + shortNumber(scene.accuracy.light_sharing) + " degrees");
-  const bool sparse = scene.accuracy.sparse_shading && samples == 1;
+  const Shading shading = scene.accuracy.shading;
+  const bool sparse = shading != Shading::every && samples == 1;
+  const char* const name = shading == Shading::every ? "every" : shading == Shading::sparse ? "sparse" : "sparser";
+  const std::string shading_is = std::string("/accuracy/shading is \"") + name + "\"";
   add("sparse shading", sparse,
-      !scene.accuracy.sparse_shading ? "/accuracy/shading is \"every\""
-      : samples > 1                  ? "/accuracy/shading is \"sparse\", but a pixel has several samples"
-                                     : "/accuracy/shading is \"sparse\"",
-      sparse ? "of smooth parts a third of the pixels, the others between them" : "",
+      shading_is + (shading != Shading::every && samples > 1 ? ", but a pixel has several samples" : ""),
+      !sparse                      ? ""
+      : shading == Shading::sparse ? "of smooth parts a third of the pixels, the others between them"
+                                   : "of smooth parts a seventh of the pixels, the others between them",
       shortNumber(counted("pixels.between")) + " pixels");
   add("point lights", lights.near_lights + lights.from_file > 0,
       std::to_string(lights.near_lights) + " in /lights" +

@@ -373,7 +373,14 @@ struct Packet {
   alignas(64) int valid[kPacket];
   double start[kPacket];
 
-  Packet(std::span<const RawRay> from, double reach) {
+  Packet() {
+    RTCRay16& ray = rays.ray;
+    for (std::size_t i = 0; i < kPacket; ++i) {
+      ray.time[i] = 0, ray.mask[i] = 0xffffffffu, ray.id[i] = static_cast<unsigned>(i), ray.flags[i] = 0;
+      rays.hit.Ng_x[i] = rays.hit.Ng_y[i] = rays.hit.Ng_z[i] = 0;
+    }
+  }
+  void take(std::span<const RawRay> from, double reach) {
     Sides sides;
     for (std::size_t i = 0; i < kPacket; ++i) {
       const RawRay& r = from[std::min(i, from.size() - 1)];
@@ -383,7 +390,7 @@ struct Packet {
     put(sides, from.size(), reach);
   }
   /// `count` of the rays, from `first` on.
-  Packet(const RaysInSpace& from, std::size_t first, std::size_t count, double reach) {
+  void take(const RaysInSpace& from, std::size_t first, std::size_t count, double reach) {
     Sides sides;
     for (std::size_t i = 0; i < kPacket; ++i) {
       const double* const numbers = from.numbers + 6 * (first + std::min(i, count - 1));
@@ -402,25 +409,26 @@ struct Packet {
     double origin[3][kPacket], direction[3][kPacket], near_distance[kPacket], far_distance[kPacket];
   };
 
-  void put(const Sides& sides, std::size_t count, double reach) {
+  /// Not inlined: there compilers lose sight of what makes the loops wide.
+  [[gnu::noinline]] void put(const Sides& sides, std::size_t count, double reach) {
     const auto &o = sides.origin, &d = sides.direction;
     RTCRay16& ray = rays.ray;
     for (std::size_t i = 0; i < kPacket; ++i) {
       const double along = o[0][i] * d[0][i] + o[1][i] * d[1][i] + o[2][i] * d[2][i];
-      start[i] = std::max(0.0, -along - 1.01 * reach);
+      const double before = -along - 1.01 * reach;
+      start[i] = before > 0 ? before : 0;
       ray.org_x[i] = static_cast<float>(o[0][i] + start[i] * d[0][i]);
       ray.org_y[i] = static_cast<float>(o[1][i] + start[i] * d[1][i]);
       ray.org_z[i] = static_cast<float>(o[2][i] + start[i] * d[2][i]);
       ray.dir_x[i] = static_cast<float>(d[0][i]), ray.dir_y[i] = static_cast<float>(d[1][i]);
       ray.dir_z[i] = static_cast<float>(d[2][i]);
-      ray.tnear[i] = static_cast<float>(std::max(0.0, sides.near_distance[i] - start[i]));
+      const double near = sides.near_distance[i] - start[i];
+      ray.tnear[i] = near > 0 ? static_cast<float>(near) : 0.f;
       ray.tfar[i] = static_cast<float>(sides.far_distance[i] - start[i]);
     }
     for (std::size_t i = 0; i < kPacket; ++i) {
       valid[i] = i < count ? -1 : 0;
-      ray.time[i] = 0, ray.mask[i] = 0xffffffffu, ray.id[i] = static_cast<unsigned>(i), ray.flags[i] = 0;
       rays.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
-      rays.hit.Ng_x[i] = rays.hit.Ng_y[i] = rays.hit.Ng_z[i] = 0;
     }
   }
 };
@@ -498,18 +506,19 @@ void lookAgain(const EmbreeScene& scene, const RaysInSpace& rays, std::span<cons
   };
   RawRay moved[kPacket];
   TriangleHit probes[kPacket], ring[kPacket];
+  Packet packet;
   for (std::size_t begin = 0; begin < doubtful.size(); begin += kPacket) {
     const std::size_t count = std::min(kPacket, doubtful.size() - begin);
     for (std::size_t i = 0; i < count; ++i) moved[i] = beside(rays[doubtful[begin + i]], scene.reach());
-    Packet packet({moved, count}, scene.reach());
+    packet.take({moved, count}, scene.reach());
     trace(scene, packet, {probes, count});
     for (std::size_t i = 0; i < count; ++i) {
       TriangleHit& hit = hits[doubtful[begin + i]];
       if (!nearer(probes[i], hit)) continue;
       const RawRay ray = rays[doubtful[begin + i]];
       besides(ray, scene.reach(), moved);
-      Packet around(moved, scene.reach());
-      trace(scene, around, ring);
+      packet.take(moved, scene.reach());
+      trace(scene, packet, ring);
       // Surrounded on all sides by something nearer, it cannot but meet it: then the triangle it comes closest to.
       const bool surrounded = std::all_of(ring, ring + kPacket, [&](const auto& probe) { return nearer(probe, hit); });
       std::optional<EmbreeScene::Crossing> best;
@@ -540,9 +549,10 @@ void RayBackend::intersect(const RaysInSpace& rays, std::span<TriangleHit> hits)
   const auto doubt = [](unsigned bits, std::size_t begin) {
     for (; bits; bits &= bits - 1) doubtful.push_back(static_cast<std::uint32_t>(begin + std::countr_zero(bits)));
   };
+  Packet packet;
   for (std::size_t begin = 0; begin < rays.count; begin += kPacket) {
     const std::size_t count = std::min(kPacket, rays.count - begin);
-    Packet packet(rays, begin, count, scene_->reach());
+    packet.take(rays, begin, count, scene_->reach());
     const PacketHits of = packets.emplace_back(trace(*scene_, packet, hits.subspan(begin, count)));
     met += std::popcount(of.met), from_behind += std::popcount(of.from_behind);
     for (unsigned missed = ~of.met & ((1u << count) - 1); missed; missed &= missed - 1) {
@@ -564,9 +574,10 @@ void RayBackend::intersect(const RaysInSpace& rays, std::span<TriangleHit> hits)
 
 void RayBackend::occluded(std::span<const RawRay> rays, bool side_by_side, std::span<std::uint8_t> blocked) const {
   SRF_CHECK(rays.size() == blocked.size());
+  Packet packet;
   for (std::size_t begin = 0; begin < rays.size(); begin += kPacket) {
     const std::size_t count = std::min(kPacket, rays.size() - begin);
-    Packet packet(rays.subspan(begin, count), scene_->reach());
+    packet.take(rays.subspan(begin, count), scene_->reach());
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
     if (side_by_side) context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
@@ -582,9 +593,10 @@ void RayBackend::gatherSplats(std::span<const RawRay> rays, float depth_window, 
   rtcInitIntersectContext(&context.embree);
   context.embree.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
   context.window = depth_window;
+  Packet packet;
   for (std::size_t begin = 0; begin < rays.size(); begin += kPacket) {
     const std::size_t count = std::min(kPacket, rays.size() - begin);
-    Packet packet(rays.subspan(begin, count), scene_->reach());
+    packet.take(rays.subspan(begin, count), scene_->reach());
     std::fill(std::begin(context.end), std::end(context.end), INFINITY);
     for (auto& lane : context.hits) lane.clear();
     rtcIntersect16(packet.valid, scene_->scene(), &context.embree, &packet.rays);

@@ -338,17 +338,16 @@ void DeformedModel::blendTriangles(std::span<const Ray<ObjectSpace>> rays, std::
     hit.p0 = pointOfTriangle(model_.p0, corners, b1, b2);
     hit.p_star = pointOfTriangle(p_star_, corners, b1, b2);
     hit.distance = dot(hit.p_star - rays[k].origin, rays[k].direction);
-    const double weights[3] = {b0, b1, b2};
     hit.count = 3;
-    for (int i = 0; i < 3; ++i) {
-      int place = i;
-      const auto weight = static_cast<float>(weights[i]);
-      for (; place > 0 && hit.weight[place - 1] < weight; --place) {
-        hit.weight[place] = hit.weight[place - 1];
-        hit.point[place] = hit.point[place - 1];
-      }
-      hit.weight[place] = weight;
-      hit.point[place] = corners[i];
+    const double weights[3] = {b0, b1, b2};
+    for (int i = 0; i < 3; ++i) hit.point[i] = corners[i], hit.weight[i] = static_cast<float>(weights[i]);
+    // By falling weight, ties as they come; without branches, which nothing foretells.
+    for (const int i : {0, 1, 0}) {
+      const bool swaps = hit.weight[i] < hit.weight[i + 1];
+      const float first = hit.weight[swaps ? i + 1 : i], second = hit.weight[swaps ? i : i + 1];
+      const std::uint32_t of_first = hit.point[swaps ? i + 1 : i], of_second = hit.point[swaps ? i : i + 1];
+      hit.weight[i] = first, hit.weight[i + 1] = second;
+      hit.point[i] = of_first, hit.point[i + 1] = of_second;
     }
     const std::size_t lane = frames.count++;
     of[lane] = k, reference[lane] = corners[0];

@@ -54,8 +54,8 @@ struct SparseRays {
 };
 
 /// Leaves in `met` what the shaded rays met of a mesh.
-void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model, const PixelRays& in, RaysMet& met,
-                SparseRays& out, std::vector<PixelBetween>& between) {
+void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model, const PixelRays& in, Shading shading,
+                RaysMet& met, SparseRays& out, std::vector<PixelBetween>& between) {
   out.places.clear();
   for (const TriangleHit& hit : met.triangles) {
     if (!hit.hit()) {
@@ -66,7 +66,7 @@ void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model,
         {true, hit.distance, pointOfTriangle(model.p0, model.triangles[hit.triangle], hit.b1, hit.b2)});
   }
   out.shaded.clear();
-  divideHits(camera, in.pixel, out.places, out.shaded, between);
+  divideHits(camera, in.pixel, out.places, shading, out.shaded, between);
   out.rays.rays.clear(), out.rays.pixel.clear();
   for (std::size_t i = 0; i < out.shaded.size(); ++i) {  // in rising order
     const std::size_t from = out.shaded[i];
@@ -95,11 +95,11 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
     clock = now;
   };
   // Without a ground, which wants to know of every ray, triangles that are not shaded need not be blended.
-  const bool sparse = plan.sparse && !layers && !explained;
+  const bool sparse = plan.shading != Shading::every && !layers && !explained;
   const bool before_blend = sparse && !plan.ground && deformed.model().kind == ModelKind::mesh;
   thread_local SparseRays fewer;  // large, and all of it is written
   if (before_blend) {
-    keepShaded(camera, deformed.model(), in, rays_met, fewer, out.between);
+    keepShaded(camera, deformed.model(), in, plan.shading, rays_met, fewer, out.between);
     rays = fewer.rays.rays, pixels = fewer.rays.pixel;
   }
   thread_local std::vector<SurfaceHit> hit_memory;  // likewise
@@ -117,7 +117,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
   if (sparse && !before_blend) {
     fewer.places.clear();
     for (const SurfaceHit& hit : hits) fewer.places.push_back({hit.count > 0, hit.distance, hit.p0});
-    divideHits(camera, pixels, fewer.places, met, out.between);
+    divideHits(camera, pixels, fewer.places, plan.shading, met, out.between);
   } else {
     for (std::size_t i = 0; i < hits.size(); ++i)
       if (hits[i].count > 0) met.push_back(i);

@@ -1,6 +1,7 @@
 #include "render/frame_renderer.h"
 
 #include <algorithm>
+#include <atomic>
 #include <bit>
 #include <chrono>
 #include <cmath>
@@ -40,21 +41,38 @@ std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> onlyOrientation(const D
                                                                          FrameMode mode) {
   constexpr double kSame = 1e-9;  // far above rounding, far below what weights of lights can show
   const DeformableModel& model = deformed.model();
-  std::optional<Orthogonal<AcquisitionSpace, ObjectSpace>> only;
-  for (std::size_t i = 0; i < model.size(); ++i) {
-    SurfaceHit hit;
+  if (model.size() == 0) return std::nullopt;
+  const auto hitAt = [&](std::size_t i, SurfaceHit& hit) {
     hit.acquisition_from_tangent = rotationFromRodrigues(model.r0[i]);
     hit.tangents = deformed.tangents()[i];
-    const LookUp look_up = lookUp(hit, mode);
-    if (look_up.collapsed) return std::nullopt;
-    if (!only) only = look_up.acquisition_from_object;
-    for (int row = 0; row < 3; ++row)
-      for (int column = 0; column < 3; ++column)
-        if (!(std::fabs(look_up.acquisition_from_object.raw().row[row][column] - only->raw().row[row][column]) <=
-              kSame))
-          return std::nullopt;
-  }
-  return only;
+  };
+  SurfaceHit first;
+  hitAt(0, first);
+  const Mat3 only = lookUp(first, mode).acquisition_from_object.raw();
+  std::atomic<bool> differ = false;
+  parallelFor(model.size(), 4096, [&](std::size_t begin, std::size_t end) {
+    constexpr std::size_t kAtOnce = 64;
+    std::array<SurfaceHit, kAtOnce> hits;
+    std::array<LookUp, kAtOnce> look_ups;
+    std::array<std::size_t, kAtOnce> which;
+    std::iota(which.begin(), which.end(), std::size_t{0});
+    for (std::size_t i = begin; i < end && !differ; i += kAtOnce) {
+      const std::size_t count = std::min(kAtOnce, end - i);
+      for (std::size_t k = 0; k < count; ++k) hitAt(i + k, hits[k]);
+      lookUp(hits, std::span(which).first(count), mode, look_ups);
+      for (std::size_t k = 0; k < count; ++k) {
+        bool same = !look_ups[k].collapsed;
+        for (int row = 0; row < 3; ++row)
+          for (int column = 0; column < 3; ++column) {
+            const double off = look_ups[k].acquisition_from_object.raw().row[row][column] - only.row[row][column];
+            same = same && std::fabs(off) <= kSame;
+          }
+        if (!same) differ = true;
+      }
+    }
+  });
+  if (differ) return std::nullopt;
+  return Orthogonal<AcquisitionSpace, ObjectSpace>(only);
 }
 
 FrameLighting::Options lightingOptions(const FrameRenderer::State& state, const DeformedModel& deformed,
@@ -90,10 +108,51 @@ std::vector<std::array<double, 3>> hitColors(const ShadingBatch& shading,
 
 float pixelValue(double sum, std::size_t samples, std::size_t& not_finite) {
   constexpr double kMost = std::numeric_limits<float>::max();
-  const double value = sum / static_cast<double>(samples);
-  not_finite += !(std::fabs(value) <= kMost);
+  const double value = samples == 1 ? sum : sum / static_cast<double>(samples);
+  if (std::fabs(value) <= kMost) return static_cast<float>(value);
+  ++not_finite;
   return static_cast<float>(std::isnan(value) ? 0 : std::clamp(value, -kMost, kMost));
 }
+
+namespace {
+
+/// Writes the pixels of a piece; says how many of their values were not finite.
+std::size_t resolve(const PixelBlock& block, const ShadingBatch& shading, std::size_t samples, ImageF& rgba) {
+  using Sum = std::array<double, 4>;  // double: with many samples a float would lose digits
+  std::array<Sum, kBlockPixels> sums;
+  std::array<std::uint32_t, kBlockPixels> pixel_of;
+  std::array<bool, kBlockPixels> known{};
+  const auto width = static_cast<std::uint32_t>(rgba.width());
+  const auto sumOf = [&](std::uint32_t pixel) -> Sum& {
+    const std::size_t at = placeInBlock(pixel, width);
+    if (!known[at]) known[at] = true, pixel_of[at] = pixel, sums[at] = {};
+    return sums[at];
+  };
+  const auto colors = hitColors(shading, block.guided);
+  for (std::size_t t = 0; t < colors.size(); ++t) {
+    Sum& sum = sumOf(block.pixel[t]);
+    for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
+    sum[3] += block.alpha.empty() ? 1 : block.alpha[t];
+  }
+  for (const PixelBetween& between : block.between) {
+    Sum& sum = sumOf(between.pixel);
+    const double share = 1.0 / between.count;  // of 2 or 4: exact
+    for (int n = 0; n < between.count; ++n)
+      for (int c = 0; c < 4; ++c) sum[c] += share * sums[between.neighbour[n]][c];
+  }
+  for (const GroundSample& sample : block.ground) {
+    Sum& sum = sumOf(sample.pixel);
+    for (int c = 0; c < 4; ++c) sum[c] += sample.rgba[c];
+  }
+  std::size_t not_finite = 0;
+  for (int at = 0; at < kBlockPixels; ++at)
+    if (known[at])
+      for (int c = 0; c < 4; ++c)
+        rgba.data()[4 * std::size_t{pixel_of[at]} + c] = pixelValue(sums[at][c], samples, not_finite);
+  return not_finite;
+}
+
+}  // namespace
 
 FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfManifest& manifest,
                             const DeformableModel& model, const FrameSettings& frame_settings, Reporter& frame_reporter)
@@ -156,7 +215,7 @@ FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& fra
       deformed(deformed_model),
       lens(effects.lens),
       pattern(samplePattern(samplesOf(state.settings, frame_camera, deformed_model))),
-      sparse(state.settings.accuracy.sparse_shading && pattern.size() == 1),
+      shading(pattern.size() == 1 ? state.settings.accuracy.shading : Shading::every),
       support_step(static_cast<int>(
           std::bit_floor(static_cast<unsigned>(std::max(128, std::min(camera.lens.width, camera.lens.height)) / 128)))),
       cover(effects.lens || effects.ground ? ScreenCover() : ScreenCover(frame_camera, deformed_model)),
@@ -204,12 +263,8 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   const FramePlan plan(s, camera, deformed, lights, effects);
   lap("weights");
 
-  // Double sums: with many samples a float would lose digits.
-  std::vector<std::array<double, 4>>& sums = s.sums;
-  sums.resize(static_cast<std::size_t>(width) * height);
-  parallelFor(height, 16, [&](std::size_t begin, std::size_t end) {
-    std::fill(sums.begin() + begin * width, sums.begin() + end * width, std::array<double, 4>{});
-  });
+  Frame frame;
+  frame.rgba = ImageF(width, height, 4);
   lap("resolve");
   Layers layers(s.settings.layers, s.settings.accuracy.views, width, height);
   const int pieces = pixelPieces(camera, plan.pattern.size());
@@ -219,6 +274,7 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   const std::size_t piece_rays = piecePixels(plan.pattern.size()) * plan.pattern.size();
   const int group = static_cast<int>(std::clamp<std::size_t>(budget / 4 / (piece_rays * ray_bytes), 1, 256));
   std::uint64_t hit_count = 0, operation_count = 0, vector_count = 0;
+  std::size_t not_finite = 0;
   std::vector<std::uint64_t> first_plan;  // of the frame
   FrameSupport frame_support;
   for (int next = 0; next < pieces;) {
@@ -280,26 +336,13 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
     s.shading->execute(shading, s.settings.order);  // M15
     if (first_plan.empty()) first_plan = s.shading->lastPlan();
     lap("execute");
+    std::vector<std::size_t> not_finite_of(batch.size());
     parallelFor(batch.size(), 16, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t b = begin; b < end; ++b) {
-        const auto colors = hitColors(shading[b], batch[b].guided);
-        for (std::size_t t = 0; t < colors.size(); ++t) {
-          auto& sum = sums[batch[b].pixel[t]];
-          for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
-          sum[3] += batch[b].alpha.empty() ? 1 : batch[b].alpha[t];
-        }
-        for (const PixelBetween& between : batch[b].between) {
-          auto& sum = sums[between.pixel];
-          for (int n = 0; n < between.count; ++n) {
-            const auto& neighbour = sums[batch[b].pixel[between.neighbour[n]]];
-            for (int c = 0; c < 4; ++c) sum[c] += neighbour[c] / between.count;
-          }
-        }
-        for (const GroundSample& sample : batch[b].ground)
-          for (int c = 0; c < 4; ++c) sums[sample.pixel][c] += sample.rgba[c];
-      }
+      for (std::size_t b = begin; b < end; ++b)
+        not_finite_of[b] = resolve(batch[b], shading[b], plan.pattern.size(), frame.rgba);
     });
     lap("resolve");
+    not_finite = std::accumulate(not_finite_of.begin(), not_finite_of.end(), not_finite);
     std::uint64_t collapsed = 0, not_seen = 0, no_view = 0, shadow_rays = 0, model_values = 0, ground_rays = 0,
                   ground_samples = 0, not_told = 0, between = 0;
     for (std::size_t b = 0; b < batch.size(); ++b) {
@@ -330,16 +373,6 @@ Frame FrameRenderer::render(const Camera<ObjectSpace>& camera, const DeformedMod
   }
 
   s.cache->plan(first_plan);  // while the next frame is gathered
-  Frame frame;
-  frame.rgba = ImageF(width, height, 4);
-  std::vector<std::size_t> not_finite_of(height);
-  parallelFor(height, 16, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t y = begin; y < end; ++y)
-      for (std::size_t i = y * width; i < (y + 1) * width; ++i)
-        for (int c = 0; c < 4; ++c)
-          frame.rgba.data()[4 * i + c] = pixelValue(sums[i][c], plan.pattern.size(), not_finite_of[y]);
-  });
-  const std::size_t not_finite = std::accumulate(not_finite_of.begin(), not_finite_of.end(), std::size_t{0});
   frame.layers = layers.take();
   if (s.settings.support) frame.support = frame_support;
   lap("resolve");

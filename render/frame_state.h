@@ -35,7 +35,7 @@ struct PixelBlock {
   std::vector<std::uint32_t> pixel;           ///< of each target
   std::vector<std::array<double, 3>> guided;  ///< of each target: what the model gives and takes; empty: plain
   std::uint64_t collapsed = 0, not_seen = 0, no_view = 0;
-  std::vector<PixelBetween> between;  ///< neighbours are targets
+  std::vector<PixelBetween> between;  ///< in this order
   std::vector<GroundSample> ground;   ///< where a ground is asked for
   std::vector<double> alpha;          ///< of each target, where a matte is asked for; else each is 1
   std::uint64_t shadow_rays = 0, model_values = 0, ground_rays = 0, shadows_not_told = 0;
@@ -88,9 +88,8 @@ struct FrameRenderer::State {
   std::vector<std::uint8_t> fit_marks;  ///< of a fit that guides
   std::optional<DeformedModel> rest;    ///< what casts the rest pose's shadows, once they are asked for
   SharedLightVectors shared;
-  std::vector<std::array<double, 4>> sums;  ///< of each pixel of the frame at hand; kept for its memory
-  std::vector<PixelBlock> blocks;           ///< likewise
-  std::map<std::string, double> seconds;    ///< by stage, over all frames
+  std::vector<PixelBlock> blocks;         ///< of the frame at hand; kept for their memory
+  std::map<std::string, double> seconds;  ///< by stage, over all frames
 };
 
 /// What is decided once for a frame, before its first ray: which lights, by which weights, which views may serve, where
@@ -105,7 +104,7 @@ struct FramePlan {
   const DeformedModel& deformed;
   std::optional<ThinLens> lens;  ///< none: a pinhole
   std::vector<Vec2> pattern;     ///< samples of a pixel
-  bool sparse;                   ///< Accuracy::sparse_shading, of one sample a pixel
+  Shading shading;               ///< Accuracy::shading of one sample a pixel; of several every one is shaded
   int support_step;              ///< FrameSupport is of every so manieth pixel, both ways: some 128 x 128 of a frame
   ScreenCover cover;
   FrameLighting lighting;

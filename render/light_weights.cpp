@@ -321,16 +321,13 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
         continue;
       }
       const Rgb& e = memory.irradiance[l * stride + i];
-      LightEntry entries[kMostNearest];
-      LightEntry* end = entries;
       for (int j = 0; j < k; ++j) {
         const float share = weight[j * stride];
         if (!(share > 0)) break;  // by falling weight
         const std::uint32_t of = light[j * stride];
         const std::array<float, 3>& per = inverse[of];
-        *end++ = {of, {share * (e[0] * per[0]), share * (e[1] * per[1]), share * (e[2] * per[2])}};
+        out.entries.push_back({of, {share * (e[0] * per[0]), share * (e[1] * per[1]), share * (e[2] * per[2])}});
       }
-      out.entries.insert(out.entries.end(), entries, end);
     }
     addRest(list, out);
     out.settle(w, list.count());

@@ -36,7 +36,6 @@ void PixelRays::add(const Camera<ObjectSpace>& camera, const std::optional<ThinL
 
 namespace {
 
-constexpr int kBlockPixels = kPixelBlock * kPixelBlock;
 // A packet of rays traces the faster the closer they lie: 4 x 4 pixels one after the other.
 constexpr int kPacketSide = 4, kPacketPixels = kPacketSide * kPacketSide;
 static_assert(kPixelBlock % kPacketSide == 0 && ScreenCover::kCell % kPacketSide == 0);
@@ -49,26 +48,34 @@ PixelInBlock pixelInBlock(int i) {
   return {packet % across * kPacketSide + within % kPacketSide, packet / across * kPacketSide + within / kPacketSide};
 }
 
+/// Where the ray through a place of a pinhole's picture, as Camera::ray has it, meets the plane at distance 1: to the
+/// right of the axis, below it.
+double downOf(const Intrinsics& lens, double y) {
+  return (y - lens.cy) / lens.fl_y;
+}
+double rightOf(const Intrinsics& lens, double x, double down) {
+  return (x - lens.cx - lens.skew * down) / lens.fl_x;
+}
+
 /// Whether every ray of the picture is one that castPinhole gives.
 bool plainPinhole(const Intrinsics& lens) {
   const auto ordinary = [&lens](double x, double y) {
-    const double down = (y - lens.cy) / lens.fl_y, right = (x - lens.cx - lens.skew * down) / lens.fl_x;
+    const double down = downOf(lens, y), right = rightOf(lens, x, down);
     return right * right + down * down < 1e50;
   };
   return lens.model == CameraModel::pinhole && ordinary(0, 0) && ordinary(lens.width, 0) && ordinary(0, lens.height) &&
          ordinary(lens.width, lens.height);
 }
 
-/// The rays of a pinhole through `count` places of its picture, as Camera::ray has them; changes the places. Plain
-/// operations, which compilers make wide.
-void castPinhole(const Camera<ObjectSpace>& camera, std::size_t count, double* x, double* y, double* z,
+/// The rays of a pinhole through `count` places of that plane; changes the places. Plain operations, which compilers
+/// make wide.
+void castPinhole(const Camera<ObjectSpace>& camera, std::size_t count, double* right, double* down, double* z,
                  Ray<ObjectSpace>* rays) {
-  const Intrinsics& lens = camera.lens;
   const Mat3& rotation = camera.pose.rotation().raw();
+  double *const x = right, *const y = down;
   for (std::size_t i = 0; i < count; ++i) {
-    const double down = (y[i] - lens.cy) / lens.fl_y, right = (x[i] - lens.cx - lens.skew * down) / lens.fl_x;
-    const double inverse = 1 / std::sqrt(right * right + down * down + 1);
-    const Vec3 towards{right * inverse, down * inverse, inverse};
+    const double inverse = 1 / std::sqrt(right[i] * right[i] + down[i] * down[i] + 1);
+    const Vec3 towards{right[i] * inverse, down[i] * inverse, inverse};
     x[i] = dot(rotation.row[0], towards), y[i] = dot(rotation.row[1], towards), z[i] = dot(rotation.row[2], towards);
   }
   for (std::size_t i = 0; i < count; ++i)
@@ -105,12 +112,19 @@ void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens
   result.rays.resize(pinhole ? most : 0);
   result.pixel.resize(pinhole ? most : 0);
   constexpr std::size_t kAtOnce = 64;
-  double to_x[kAtOnce], to_y[kAtOnce], to_z[kAtOnce];
+  double right[kAtOnce], down[kAtOnce], to_z[kAtOnce];
   std::size_t count = 0, cast = 0;  // of a pinhole: places, and of them those that have a ray
   const auto castThem = [&] {
-    castPinhole(camera, count - cast, to_x, to_y, to_z, result.rays.data() + cast);
+    castPinhole(camera, count - cast, right, down, to_z, result.rays.data() + cast);
     cast = count;
   };
+  // Where rows and columns stand upright on each other a place of each tells all.
+  const bool by_row = pinhole && pattern.size() == 1 && camera.lens.skew == 0;
+  double right_of[kPixelBlock], down_of[kPixelBlock];
+  for (int k = 0; k < kPixelBlock && by_row; ++k) {
+    down_of[k] = downOf(camera.lens, y0 + k + pattern[0].y);
+    right_of[k] = rightOf(camera.lens, x0 + k + pattern[0].x, 0);
+  }
   for (int i = first, stop = first; i < end; i = stop) {
     stop = std::min(end, (i / kPacketPixels + 1) * kPacketPixels);
     const PixelInBlock corner = pixelInBlock(i / kPacketPixels * kPacketPixels);
@@ -118,14 +132,15 @@ void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens
     if (!(left < camera.lens.width && top < camera.lens.height && cover.covers(left, top))) continue;
     const bool inside = left + kPacketSide <= camera.lens.width && top + kPacketSide <= camera.lens.height;
     // As nearly all of a preview's or a plain frame's: without asking pixel by pixel tracing takes 0.96 of the time.
-    if (pinhole && inside && pattern.size() == 1 && stop - i == kPacketPixels) {
-      double *const to_left = to_x + (count - cast), *const to_top = to_y + (count - cast);
+    if (by_row && inside && stop - i == kPacketPixels) {
+      double *const to_right = right + (count - cast), *const to_down = down + (count - cast);
       std::uint32_t* const pixel = result.pixel.data() + count;
-      for (int k = 0; k < kPacketPixels; ++k) {
-        const int x = left + k % kPacketSide, y = top + k / kPacketSide;
-        to_left[k] = x + pattern[0].x, to_top[k] = y + pattern[0].y;
-        pixel[k] = static_cast<std::uint32_t>(y * camera.lens.width + x);
-      }
+      for (int y = 0; y < kPacketSide; ++y)
+        for (int x = 0; x < kPacketSide; ++x) {
+          const int k = y * kPacketSide + x;
+          to_right[k] = right_of[corner.x + x], to_down[k] = down_of[corner.y + y];
+          pixel[k] = static_cast<std::uint32_t>((top + y) * camera.lens.width + left + x);
+        }
       count += kPacketPixels;
       if (count - cast == kAtOnce) castThem();
       continue;
@@ -139,7 +154,8 @@ void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens
         continue;
       }
       for (const Vec2& place : pattern) {
-        to_x[count - cast] = x + place.x, to_y[count - cast] = y + place.y;
+        down[count - cast] = downOf(camera.lens, y + place.y);
+        right[count - cast] = rightOf(camera.lens, x + place.x, down[count - cast]);
         result.pixel[count++] = static_cast<std::uint32_t>(y * camera.lens.width + x);
         if (count - cast == kAtOnce) castThem();
       }

@@ -13,9 +13,17 @@
 namespace srf {
 
 inline constexpr int kPixelBlock = 16;  ///< pixels along the side of the blocks that a frame is gathered in
+inline constexpr int kBlockPixels = kPixelBlock * kPixelBlock;
+/// The place of a pixel in its block: row times kPixelBlock and column. Pixels are numbered row by row in a picture
+/// `width` wide.
+inline std::uint8_t placeInBlock(std::uint32_t pixel, std::uint32_t width) {
+  static_assert(kBlockPixels == 256);
+  const std::uint32_t y = pixel / width, x = pixel - y * width;
+  return static_cast<std::uint8_t>(y % kPixelBlock * kPixelBlock + x % kPixelBlock);
+}
 /// Most rays that are gathered together, but for a single pixel's: with many samples a block falls into pieces of a few
 /// pixels each, so that a frame's memory does not grow with its samples.
-inline constexpr int kPieceRays = 16 * kPixelBlock * kPixelBlock;
+inline constexpr int kPieceRays = 16 * kBlockPixels;
 
 /// Where the samples of a pixel lie in it, about its middle: a regular grid for square numbers, else a rank-1 lattice.
 std::vector<Vec2> samplePattern(int samples);

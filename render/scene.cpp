@@ -124,7 +124,8 @@ Accuracy readAccuracy(const JsonNode& node) {
       throw texels->error("found " + std::to_string(accuracy.texels) +
                           ", expected 0 (the photographs as they are) or at least 1.5");
   }
-  if (const auto shading = node.find("shading")) accuracy.sparse_shading = shading->choice({"every", "sparse"}) == 1;
+  if (const auto shading = node.find("shading"))
+    accuracy.shading = static_cast<Shading>(shading->choice({"every", "sparse", "sparser"}));
   if (const auto rays = node.find("shadow_rays")) accuracy.shadow_rays = static_cast<int>(rays->integer(0, 1000000));
   return accuracy;
 }

@@ -58,6 +58,13 @@ enum class Shadows {
   off
 };
 
+/// Which pixels are shaded: within smooth parts of the surface the others take the mean of those about them.
+enum class Shading {
+  every,
+  sparse,  ///< a third of them: every second row and column
+  sparser  ///< a seventh: every fourth, where the surface is that flat
+};
+
 /// Every approximation, each with an exact setting (M18).
 struct Accuracy {
   int views = 4;   ///< k nearest views
@@ -66,8 +73,7 @@ struct Accuracy {
   double light_sharing = 2;    ///< degrees over which rotated light weights are shared; 0: exact
   double min_distance = 1e-3;  ///< least distance of a point light in A(d), of the object's diameter
   double texels = 2;           ///< of a photograph across a sample before a coarser level of it is taken; 0: never
-  /// Within smooth parts of the surface a third of the pixels are shaded, the others take the mean of those about them.
-  bool sparse_shading = false;
+  Shading shading = Shading::every;
   int shadow_rays = 32;  ///< most a hit for environments; of their other lights the captured ones' shadows tell
 };
 

@@ -1,5 +1,6 @@
 #include "render/sparse_shading.h"
 
+#include <array>
 #include <cmath>
 
 #include "render/pixel_rays.h"
@@ -18,49 +19,55 @@ bool flat(const Camera<ObjectSpace>& camera, const MetPlace& a, const MetPlace& 
   return dot(off, off) <= kFlat * kFlat * dot(across, across);
 }
 
-/// Whether a row or column of a block is shaded: 0, 2, .., 12, 13, 15.
-constexpr bool onLattice(int at) {
-  return (at % 2 == 0) == (at < kPixelBlock - 3);
+/// Whether a row or column of a block is of the lattice whose lines lie `spacing` apart: 0, 2, .., 12, 13, 15 or 0, 4,
+/// 8, 12, 13, 15.
+constexpr bool onLattice(int at, int spacing) {
+  return at < kPixelBlock - 3 ? at % spacing == 0 : at % 2 != 0;
 }
-static_assert(onLattice(0) && onLattice(kPixelBlock - 1) && kPixelBlock % 2 == 0);
+static_assert(onLattice(0, 4) && onLattice(kPixelBlock - 4, 4) && onLattice(kPixelBlock - 1, 4));
 
 }  // namespace
 
 void divideHits(const Camera<ObjectSpace>& camera, std::span<const std::uint32_t> pixels,
-                std::span<const MetPlace> hits, std::vector<std::size_t>& shaded, std::vector<PixelBetween>& between) {
+                std::span<const MetPlace> hits, Shading shading, std::vector<std::size_t>& shaded,
+                std::vector<PixelBetween>& between) {
   constexpr int kSide = kPixelBlock, kNone = -1;
   const auto width = static_cast<std::uint32_t>(camera.lens.width);
-  std::array<int, kSide * kSide> at, target;  // by place in the block
-  std::array<std::uint8_t, kSide * kSide> cell_of;
+  std::array<int, kBlockPixels> at;  // by place in the block
+  std::array<std::uint8_t, kBlockPixels> place_of;
+  std::array<bool, kBlockPixels> is_between{};
   at.fill(kNone);
   for (std::size_t i = 0; i < hits.size(); ++i) {
-    const std::uint32_t row = pixels[i] / width, x = pixels[i] - row * width;
-    cell_of[i] = static_cast<std::uint8_t>(row % kSide * kSide + x % kSide);
-    if (hits[i].met) at[cell_of[i]] = static_cast<int>(i);
+    place_of[i] = placeInBlock(pixels[i], width);
+    if (hits[i].met) at[place_of[i]] = static_cast<int>(i);
   }
-  for (std::size_t i = 0; i < hits.size(); ++i) {
-    if (!hits[i].met) continue;
-    const int cell = cell_of[i], x = cell % kSide, y = cell / kSide;
-    PixelBetween pixel{pixels[i], 0, {}};
-    const auto addPair = [&](int step) {
-      const int before = at[cell - step], after = at[cell + step];
-      if (before == kNone || after == kNone || !flat(camera, hits[before], hits[i], hits[after])) return;
-      for (const int neighbour : {cell - step, cell + step})
-        pixel.neighbour[pixel.count++] = static_cast<std::uint16_t>(neighbour);
-    };
-    const bool in_column = onLattice(x), in_row = onLattice(y);
-    if (in_row && !in_column) addPair(1);
-    if (in_column && !in_row) addPair(kSide);
-    if (!in_column && !in_row) addPair(kSide - 1), addPair(kSide + 1);
-    if (pixel.count > 0) {
+  // From lines `spacing` apart to those between them.
+  const auto divide = [&](int spacing) {
+    const int half = spacing / 2;
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+      const int place = place_of[i], x = place % kSide, y = place / kSide;
+      const bool in_column = onLattice(x, spacing), in_row = onLattice(y, spacing);
+      if (!hits[i].met || (in_column && in_row)) continue;
+      if (half > 1 && !(onLattice(x, half) && onLattice(y, half))) continue;
+      PixelBetween pixel{pixels[i], 0, {}};
+      const auto addPair = [&](int step) {
+        const int before = at[place - step], after = at[place + step];
+        if (before == kNone || after == kNone || !flat(camera, hits[before], hits[i], hits[after])) return;
+        for (const int neighbour : {place - step, place + step})
+          pixel.neighbour[pixel.count++] = static_cast<std::uint8_t>(neighbour);
+      };
+      if (in_row) addPair(half);
+      if (in_column) addPair(half * kSide);
+      if (!in_column && !in_row) addPair(half * (kSide - 1)), addPair(half * (kSide + 1));
+      if (pixel.count == 0) continue;
       between.push_back(pixel);
-      continue;
+      is_between[place] = true;
     }
-    target[cell] = static_cast<int>(shaded.size());
-    shaded.push_back(i);
-  }
-  for (PixelBetween& pixel : between)
-    for (int n = 0; n < pixel.count; ++n) pixel.neighbour[n] = static_cast<std::uint16_t>(target[pixel.neighbour[n]]);
+  };
+  if (shading == Shading::sparser) divide(4);
+  divide(2);
+  for (std::size_t i = 0; i < hits.size(); ++i)
+    if (hits[i].met && !is_between[place_of[i]]) shaded.push_back(i);
 }
 
 }  // namespace srf

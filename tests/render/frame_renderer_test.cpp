@@ -140,17 +140,21 @@ TEST_F(FrameRendererTest, AskingForLayersChangesNoBitOfThePicture) {
   EXPECT_EQ(alone, picture({"P", "view"}));
 }
 
-TEST_F(FrameRendererTest, SparseShadingTakesTheMeanOfNeighboursWhereTheSurfaceIsSmooth) {
+class SparseShadingTest : public FrameRendererTest, public testing::WithParamInterface<Shading> {};
+INSTANTIATE_TEST_SUITE_P(EveryKind, SparseShadingTest, testing::Values(Shading::sparse, Shading::sparser));
+
+TEST_P(SparseShadingTest, TakesTheMeanOfNeighboursWhereTheSurfaceIsSmooth) {
   DeformedModel deformed(field_->model);
   deformed.deform(twist());
+  const int size = GetParam() == Shading::sparse ? 160 : 320;  // shaded pixels lie as close on the object
   Reporter every_counted(ProgressMode::none, LogLevel::error), counted(ProgressMode::none, LogLevel::error);
   const auto picture = [&](const FrameSettings& settings, Reporter& reporter, const FrameEffects& effects = {}) {
     FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings, reporter);
-    return renderer.render(camera(160), deformed, lights(), effects).rgba;
+    return renderer.render(camera(size), deformed, lights(), effects).rgba;
   };
   FrameSettings settings;
   const ImageF every = picture(settings, every_counted);
-  settings.accuracy.sparse_shading = true;
+  settings.accuracy.shading = GetParam();
   setThreadCount(1);
   const ImageF got = picture(settings, counted);
   setThreadCount(3);
@@ -172,17 +176,18 @@ TEST_F(FrameRendererTest, SparseShadingTakesTheMeanOfNeighboursWhereTheSurfaceIs
       if (same) continue;
       ++between;
       double least = 1;  // from the mean of some pairs on opposite sides
-      for (const auto& pairs :
-           {std::vector<std::array<int, 2>>{{1, 0}}, {{0, 1}}, {{1, 1}}, {{1, -1}}, {{1, 1}, {1, -1}}}) {
-        double mean = 0;
-        for (const auto& [dx, dy] : pairs)
-          mean +=
-              (every.at(x - dx, y - dy, 1) + every.at(x + dx, y + dy, 1)) / (2.0 * static_cast<double>(pairs.size()));
-        least = std::min(least, std::fabs(got.at(x, y, 1) - mean));
-      }
+      for (int far = 1; far <= (GetParam() == Shading::sparse ? 1 : 2); ++far)
+        for (const auto& pairs :
+             {std::vector<std::array<int, 2>>{{1, 0}}, {{0, 1}}, {{1, 1}}, {{1, -1}}, {{1, 1}, {1, -1}}}) {
+          double mean = 0;
+          for (const auto& [dx, dy] : pairs)
+            for (const int side : {-far, far})
+              mean += got.at(x + side * dx, y + side * dy, 1) / (2.0 * static_cast<double>(pairs.size()));
+          least = std::min(least, std::fabs(got.at(x, y, 1) - mean));
+        }
       EXPECT_LT(least, 1e-6) << "at " << x << " " << y;
     }
-  EXPECT_GT(between, inside / 2);
+  EXPECT_GT(between, (GetParam() == Shading::sparse ? 0.5 : 0.75) * inside);
   EXPECT_EQ(counted.counters()["hits"] + counted.counters()["pixels.between"], every_counted.counters()["hits"]);
   EXPECT_LT(squares / (3.0 * inside), 1e-4) << "40 dB of white";
   // With a ground, here one that is not seen, hits are divided after their blend: by distances in double.

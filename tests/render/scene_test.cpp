@@ -75,7 +75,9 @@ TEST_F(SceneTest, EveryKeyArrives) {
   EXPECT_EQ(scene.accuracy.frame, FrameMode::polar);
   EXPECT_EQ(scene.accuracy.light_sharing, 0);
   EXPECT_EQ(scene.accuracy.min_distance, 0.01);
-  EXPECT_TRUE(scene.accuracy.sparse_shading);
+  EXPECT_EQ(scene.accuracy.shading, Shading::sparse);
+  EXPECT_EQ(read(kCamera + "," + kLights + R"(, "accuracy": {"shading": "sparser"})").accuracy.shading,
+            Shading::sparser);
   EXPECT_FALSE(scene.deformation.constant());
   ASSERT_EQ(scene.lights.size(), 3u);
   EXPECT_EQ(std::get<PointLight>(scene.lights[0]).position.at(5), (Vec3{0, 0, 2}));
