@@ -12,7 +12,7 @@ namespace srf {
 
 struct CapturedVisibility {
   VisibilityBits lit;          ///< point x LightId: faces the light and nothing lies between
-  VisibilityBits lit_by_rays;  ///< the same, which a hull's photographs do not correct
+  VisibilityBits lit_by_rays;  ///< the same, which a hull's photographs correct along outlines alone
   VisibilityBits lit_around;   ///< lit, and so are four points 1.7 capture pixels around on the surface
   VisibilityBits seen_around;  ///< point x ViewId: visible, and those four points are too
 };

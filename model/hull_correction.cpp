@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 
 #include "base/numeric.h"
 #include "base/parallel.h"
@@ -88,6 +89,35 @@ void correctLit(const FitInput& input, const PointSamples& samples, const PointR
         lit.words()[i * lit.wordsPerPoint() + column / 64] &= ~(std::uint64_t{1} << (column % 64));
     }
   }
+}
+
+void dropOutlines(const SrfManifest& field, const DeformableModel& model, VisibilityBits& bits) {
+  const double reach = aroundReach(field, model);
+  if (!(reach > 0)) return;
+  const PointsAround around(model.p0, reach);
+  const std::size_t words = bits.wordsPerPoint();
+  const auto step = [&](const auto& combine) {
+    const VisibilityBits before = bits;
+    parallelFor(model.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) {
+        std::uint64_t* row = &bits.words()[i * words];
+        around(i, [&](std::uint32_t j) {
+          for (std::size_t w = 0; w < words; ++w) row[w] = combine(row[w], before.row(j)[w]);
+        });
+      }
+    });
+  };
+  step(std::bit_and<>());
+  step(std::bit_or<>());
+}
+
+void agreeAlongOutlines(const FitInput& input, CapturedVisibility& visibility) {
+  const std::vector<std::uint64_t>& lit = visibility.lit.words();
+  VisibilityBits differ = visibility.lit_by_rays;
+  std::transform(lit.begin(), lit.end(), differ.words().begin(), differ.words().begin(), std::bit_xor<>());
+  dropOutlines(input.field, input.model, differ);
+  std::transform(lit.begin(), lit.end(), differ.words().begin(), visibility.lit_by_rays.words().begin(),
+                 std::bit_xor<>());
 }
 
 void litAroundFromNeighbours(const FitInput& input, CapturedVisibility& visibility) {

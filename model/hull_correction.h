@@ -18,6 +18,14 @@ Direction<AcquisitionSpace> photometricNormal(PointSamples& samples, const Direc
 void correctLit(const FitInput& input, const PointSamples& samples, const PointReflectance& point, std::size_t i,
                 VisibilityBits& lit);
 
+/// Takes away what is narrower than twice aroundReach, by shrinking and growing again: along the outline of a shadow
+/// a pixel's blur sets photographs against rays and model; what a hull fills is wider.
+void dropOutlines(const SrfManifest& field, const DeformableModel& model, VisibilityBits& bits);
+
+/// Leaves lit_by_rays other than lit only where that is more than an outline. There photographs overrule rays in every
+/// pose, and where a shadow ended at rest says nothing of others.
+void agreeAlongOutlines(const FitInput& input, CapturedVisibility& visibility);
+
 /// lit_around anew, from the bits of the points around: hull or not, an outline lies between points that differ.
 void litAroundFromNeighbours(const FitInput& input, CapturedVisibility& visibility);
 

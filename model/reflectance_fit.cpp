@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <numeric>
 #include <random>
@@ -313,23 +312,8 @@ void correctHull(const FitInput& input, const std::vector<Roughness>& materials,
     stage.advance(end - begin);
   });
   visibility.lit = std::move(lit);
+  agreeAlongOutlines(input, visibility);
   litAroundFromNeighbours(input, visibility);
-}
-
-// Takes away what is narrower than some 2 edges, by shrinking and growing again: a pixel's blur makes guidance look
-// harmful along the outline of every shadow, where switching to plain would draw the outline; what a hull fills is
-// wider.
-void dropNarrow(VisibilityBits& bits, const std::vector<Triangle>& triangles) {
-  const std::size_t words = bits.wordsPerPoint();
-  const auto step = [&](const auto& combine) {
-    const std::vector<std::uint64_t> before = bits.words();
-    for (const auto& [a, b, c] : triangles)
-      for (const auto& [to, from] : {std::pair{a, b}, {a, c}, {b, a}, {b, c}, {c, a}, {c, b}})
-        for (std::size_t w = 0; w < words; ++w)
-          bits.words()[to * words + w] = combine(bits.words()[to * words + w], before[from * words + w]);
-  };
-  step(std::bit_and<>());
-  step(std::bit_or<>());
 }
 
 /// Squares of a point's errors and samples, weighted.
@@ -528,7 +512,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
       stage.advance(end - begin);
     });
   }
-  dropNarrow(fit.worse, model.triangles);
+  if (is_hull) dropOutlines(field, model, fit.worse);
   openGates(errors, fit.points);
   if (const double reach = kOffReach * aroundReach(field, model); is_hull && reach > 0)
     closeOffTheObject(model.p0, reach, errors, fit.points);

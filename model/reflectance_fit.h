@@ -31,7 +31,9 @@ struct ReflectanceFit {
   /// Whether each captured light (LightId) lights each point at rest: by rays, corrected by the photographs where the
   /// surface is a hull.
   VisibilityBits lit;
-  /// The same by rays through the model alone; differs from `lit` where a hull hides a concavity.
+  /// The same by rays through the model alone where a hull hides a concavity: where the two differ, photographs
+  /// overrule the rays of every pose. Elsewhere as `lit`, also along the outlines of shadows, where a ray may be a
+  /// pixel off.
   VisibilityBits lit_by_rays;
   /// lit, also at the points one or two capture pixels around: away from the outline of a captured shadow.
   VisibilityBits lit_around;

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <bit>
 #include <functional>
 
 #include "tests/support/glossy_sphere.h"
@@ -137,6 +138,42 @@ TEST(ReflectanceFit, NothingGuidesWhereAHullIsNotTheObject) {
   };
   EXPECT_LT(gates(bowl), 0.1);  // 0.7 by lights and views left out one at a time
   EXPECT_GT(gates(test::glossy), 0.99);
+}
+
+// A sphere that some lights do not reach within `half_width` of a circle on it, units, though no ray is stopped there.
+ReflectanceFit fitShadowedHull(double half_width) {
+  const test::TemporaryFolder folder;
+  test::FormulaFieldOptions options;
+  options.lights = 32, options.size = 32, options.subdivision = 5;
+  test::FormulaField field =
+      test::makeSphereField(folder / "f.srf", options, [half_width](const Vec3& p, const Vec3& l, const Vec3&) {
+        const bool shadowed = l.x > 0 && std::fabs(p.y) < half_width;
+        return (shadowed ? 0 : 0.3 * std::max(0.0, dot(p, l))) * Vec3{1, 1, 1};
+      });
+  field.model.shape = "hull";
+  return *fitReflectance(field.folder, field.manifest, field.model, {}, Reporter::silent());
+}
+
+std::size_t count(const std::vector<std::uint64_t>& words) {
+  std::size_t bits = 0;
+  for (const std::uint64_t word : words) bits += static_cast<std::size_t>(std::popcount(word));
+  return bits;
+}
+
+std::size_t countOverruled(const ReflectanceFit& fit) {
+  std::vector<std::uint64_t> differ = fit.lit.words();
+  for (std::size_t w = 0; w < differ.size(); ++w) differ[w] ^= fit.lit_by_rays.words()[w];
+  return count(differ);
+}
+
+// Along the outline of a shadow photographs and rays differ over a pixel or two, and guidance errs. Bend the object,
+// and the shadow ends elsewhere: were photographs believed there, the old outline would shine through the new shadow.
+TEST(ReflectanceFit, PhotographsOverruleRaysWhereAHullHidesTheObjectAndNotAlongOutlines) {
+  const ReflectanceFit outline = fitShadowedHull(0.06), hidden = fitShadowedHull(0.3);  // a pixel: 0.074
+  EXPECT_EQ(countOverruled(outline), 0u);
+  EXPECT_EQ(count(outline.worse.words()), 0u);
+  EXPECT_GT(countOverruled(hidden), 1500u);
+  EXPECT_GT(count(hidden.worse.words()), 3000u);
 }
 
 }  // namespace
