@@ -65,8 +65,21 @@ ImageF shown(ImageF stored, const OIIO::ImageInput& input) {
   return out;
 }
 
+// Without plain R G B, red of two layers leaves open which of them is the picture.
+void refuseSeveralLayers(const std::filesystem::path& file, const OIIO::ImageSpec& spec) {
+  std::string layers;
+  int count = 0;
+  for (int c = 0; c < spec.nchannels; ++c) {
+    const std::string name = spec.channel_name(c);
+    if (name.ends_with(".R")) layers += (count++ > 0 ? ", " : "") + name.substr(0, name.size() - 2);
+  }
+  if (count > 1)
+    throw badInput(file.string(), "holds the layers " + layers +
+                                      " and no channels R, G, B; expected one picture: save that layer alone");
+}
+
 // The file's channels that make grey, RGB or RGBA, in that order.
-std::vector<int> colourChannels(const OIIO::ImageSpec& spec) {
+std::vector<int> colourChannels(const std::filesystem::path& file, const OIIO::ImageSpec& spec) {
   const auto find = [&](const char* name) {
     for (int c = 0; c < spec.nchannels; ++c)
       if (spec.channel_name(c) == name) return c;
@@ -81,7 +94,7 @@ std::vector<int> colourChannels(const OIIO::ImageSpec& spec) {
   else if (y >= 0)
     order = {y};
   else if (spec.nchannels >= 3)
-    order = {0, 1, 2};
+    refuseSeveralLayers(file, spec), order = {0, 1, 2};
   else
     order = {0};
   if (a >= 0 && order.size() == 3) order.push_back(a);
@@ -118,7 +131,7 @@ void writeWithOiio(const std::filesystem::path& file, const OIIO::ImageSpec& spe
 LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transfer) {
   const auto input = openInput(file);
   const OIIO::ImageSpec spec = input->spec();
-  const std::vector<int> order = colourChannels(spec);
+  const std::vector<int> order = colourChannels(file, spec);
   LoadedImage image;
   image.is_float = spec.format.is_floating_point();
   image.bits = static_cast<int>(spec.format.size() * 8);
@@ -192,7 +205,7 @@ Photograph readPhotograph(const std::filesystem::path& file, const std::optional
     input = openInput(file, config);
   }
   const OIIO::ImageSpec spec = input->spec();
-  std::vector<int> order = colourChannels(spec);
+  std::vector<int> order = colourChannels(file, spec);
   if (order.size() == 4) order.pop_back();
   std::vector<float> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels);
   if (!input->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, all.data()))
@@ -204,7 +217,8 @@ Photograph readPhotograph(const std::filesystem::path& file, const std::optional
   for (std::size_t p = 0; p < static_cast<std::size_t>(spec.width) * spec.height; ++p)
     for (const int c : order) *to++ = all[p * spec.nchannels + c];
   // RAW comes upright already.
-  photo.pixels = uprightImage(shown(std::move(stored), *input), photo.is_raw ? 1 : spec.get_int_attribute("Orientation", 1));
+  photo.pixels =
+      uprightImage(shown(std::move(stored), *input), photo.is_raw ? 1 : spec.get_int_attribute("Orientation", 1));
   const auto positive = [&](const char* name) -> std::optional<double> {
     const double value = spec.get_float_attribute(name, 0);
     return value > 0 && std::isfinite(value) ? std::optional<double>(value) : std::nullopt;

@@ -163,8 +163,7 @@ int dividedInto(int texels, int least) {
 ImageF divided(const ImageF& map, int across, int down) {
   ImageF out(map.width() * across, map.height() * down, map.channels());
   for (int y = 0; y < out.height(); ++y)
-    for (int x = 0; x < out.width(); ++x)
-      std::copy_n(&map.at(x / across, y / down), map.channels(), &out.at(x, y));
+    for (int x = 0; x < out.width(); ++x) std::copy_n(&map.at(x / across, y / down), map.channels(), &out.at(x, y));
   return out;
 }
 

@@ -211,6 +211,26 @@ TEST(Photograph, AnExrIsItsDisplayWindow) {
     }
 }
 
+TEST(Photograph, OfSeveralLayersTheUnnamedOneIsThePicture) {
+  const test::TemporaryFolder folder;
+  const float values[] = {0.1f, 0.2f, 0.3f, 0.4f, 0.5f, 0.6f};
+  const auto write = [&](const std::vector<const char*>& names) {
+    std::vector<ExrChannel> channels;
+    for (std::size_t i = 0; i < names.size(); ++i) channels.push_back({names[i], &values[i], 1, true});
+    writeExr(folder / "x.exr", 1, 1, channels);
+    return folder / "x.exr";
+  };
+  EXPECT_EQ(readImage(write({"AO.R", "AO.G", "AO.B", "R", "G", "B"})).pixels.data(),
+            (std::vector<float>{0.4f, 0.5f, 0.6f}));
+  EXPECT_EQ(readImage(write({"View.R", "View.G", "View.B"})).pixels.data(), (std::vector<float>{0.1f, 0.2f, 0.3f}));
+  try {
+    readImage(write({"AO.R", "AO.G", "AO.B", "Combined.R", "Combined.G", "Combined.B"}));
+    FAIL() << "which one?";
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("AO, Combined"), std::string::npos) << e.what();
+  }
+}
+
 TEST(Photograph, IntegerFilesComeAsTheyAreEncoded) {
   const test::TemporaryFolder folder;
   Image8 image(2, 1, 3, 128);
