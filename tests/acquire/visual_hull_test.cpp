@@ -483,6 +483,23 @@ TEST(VisualHull, AWrongMaskIsNamedAndLeftOut) {
   EXPECT_NEAR(meshVolume(carveVisualHull(views, all, Reporter::silent()).mesh) / (4 * kPi / 3), 1, 0.05);
 }
 
+TEST(VisualHull, RightMasksOfFewViewsAreNotAccused) {
+  // Where some of few views may be overruled, what they leave bulges; one of them sees the bulges from the side.
+  for (const unsigned seed : {3u, 23u, 42u, 76u}) {
+    std::mt19937 random(seed);
+    std::normal_distribution<double> normal;
+    auto cameras = camerasAround(8 + static_cast<int>(seed % 5), 40, 30, 5);
+    for (CameraAt& camera : cameras) {
+      const Vector3 direction(normal(random), normal(random), normal(random));
+      camera.pose =
+          *lookAt<Space>(Point3{} + 5 * Vector3(normalize(direction)->raw()), Point3{}, Vector3(0.01, 0.02, 1));
+    }
+    Reporter reporter(ProgressMode::none, LogLevel::error);
+    carveVisualHull(photographs(cameras, ball({}, 1)), {}, reporter);
+    EXPECT_TRUE(reporter.warnings().empty()) << "seed " << seed << ": " << reporter.warnings()[0];
+  }
+}
+
 TEST(VisualHull, FiveWrongMasksOf36AreFound) {
   auto views = ballViews();
   for (const int i : {2, 3, 11, 20, 33}) views[i].mask = photograph(views[i].camera, ball({0, 0.9, 1.2}, 0.5));
