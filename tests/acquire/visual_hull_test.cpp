@@ -418,6 +418,18 @@ TEST(VisualHull, BoundsCutTheHullAndCloseIt) {
   EXPECT_NEAR(meshVolume(hull.mesh), 4 * kPi / 3 - cut, 0.03);
 }
 
+TEST(VisualHull, ACubeOfBoundsWhoseCornersAreTheLatticesIsClosed) {
+  const auto views = photographs(camerasAround(10, 40, 30, 5), ball({}, 1));
+  for (const double low : {-1.0, -0.5}) {
+    HullOptions options;
+    options.bounds.emplace().extend(Point3(low, low, low));
+    options.bounds->extend(Point3(low + 1, low + 1, low + 1));
+    const auto mesh = carveVisualHull(views, options, Reporter::silent()).mesh;
+    EXPECT_TRUE(meshTopology(mesh).closed);
+    EXPECT_NEAR(meshVolume(mesh), low == -1 ? kPi / 6 : 1, 0.02);
+  }
+}
+
 TEST(VisualHull, ResolutionSetsTheCell) {
   HullOptions options;
   for (const int cells : {40, 100}) {
