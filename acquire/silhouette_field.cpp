@@ -13,6 +13,7 @@ namespace {
 constexpr double kSlack = 1.0;  // pixels that a silhouette's distance may jump by between pixels (thin parts)
 constexpr double kDeep = 2.0;   // cells: views deeper inside than this do not matter at the surface
 constexpr double kEnd = 0.02;   // of an edge: vertices stay this far from its ends, so that no triangle has zero area
+constexpr double kTouch = 1e-6;  // of a cell: what touches the bounds but for rounding is not passed over
 constexpr double kMarginOfStretch = 1.05;  // the lens is sampled, not bounded
 
 // Most pixels that the picture moves by when x/z, y/z move by one (orthographic: x, y; fisheye: the direction, by one
@@ -145,7 +146,7 @@ class SilhouetteField::Carver {
     const Vec3 center{node.x + half, node.y + half, node.z + half};
     const double radius = half * std::sqrt(3.0) * lattice_.cell;
     const double to_bounds = boundsDistance(center);
-    if (to_bounds > radius) return;
+    if (to_bounds > radius + kTouch * lattice_.cell) return;
     if (minComponent((lattice_.at(center) - Point<AcquisitionSpace>(known_.min)).raw()) >= half * lattice_.cell &&
         minComponent((Point<AcquisitionSpace>(known_.max) - lattice_.at(center)).raw()) >= half * lattice_.cell)
       return;

@@ -258,6 +258,18 @@ std::vector<bool> outliers(const std::vector<ViewConsistency>& agreement) {
   return out;
 }
 
+// Whether the hull of all views fills every silhouette: then none contradicts the others, whatever bulges a trial hull
+// of few views has where some of them are overruled.
+bool allAgree(const HullViews& views, const std::optional<Box3>& bounds) {
+  const Box3 box = tightBounds(views, 0, bounds);
+  if (box.empty()) return false;
+  const auto mesh = carve(views, 0, box, longestSide(box) / kCoarseCells, Reporter::silent());
+  if (mesh.triangles.empty()) return false;
+  const auto agreement = compare(mesh, sources(views), kCoarseCells);
+  return std::all_of(agreement.begin(), agreement.end(),
+                     [](const ViewConsistency& a) { return a.covered >= kCoveredByOthers; });
+}
+
 // Names the views that disagree most with what the others leave.
 Error nothingLeft(const HullViews& views, const std::optional<Box3>& bounds) {
   std::vector<ViewConsistency> agreement;
@@ -305,6 +317,8 @@ VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullO
     const auto& agreement = trial.agreement;
     if (!agreement.empty()) {
       excluded = outliers(agreement);
+      if (std::find(excluded.begin(), excluded.end(), true) != excluded.end() && allAgree(used, options.bounds))
+        excluded.assign(views.size(), false);
       used.clear();
       for (std::size_t i = 0; i < views.size(); ++i) {
         if (!excluded[i]) {

@@ -24,6 +24,18 @@ namespace {
 
 constexpr float kLargestHalf = 65504.f;
 
+// What an EXR shows is its display window; the file may hold less of it (the rest is black) or more.
+bool isCropped(const OIIO::ImageInput& input) {
+  const OIIO::ImageSpec& s = input.spec();
+  return std::string_view(input.format_name()) == "openexr" &&
+         (s.x != s.full_x || s.y != s.full_y || s.width != s.full_width || s.height != s.full_height);
+}
+
+ImageSize shownSize(const OIIO::ImageInput& input) {
+  const OIIO::ImageSpec& s = input.spec();
+  return isCropped(input) ? ImageSize{s.full_width, s.full_height} : ImageSize{s.width, s.height};
+}
+
 std::unique_ptr<OIIO::ImageInput> openInput(const std::filesystem::path& file,
                                             OIIO::ImageSpec as_stored = OIIO::ImageSpec()) {
   if (!std::filesystem::exists(file)) throw badInput(file.string(), "does not exist; check the path");
@@ -34,14 +46,40 @@ std::unique_ptr<OIIO::ImageInput> openInput(const std::filesystem::path& file,
     throw badInput(file.string(), "could not be read as an image (" + OIIO::geterror() +
                                       "); expected EXR, HDR, PNG, TIFF or JPEG that is whole");
   const OIIO::ImageSpec& spec = input->spec();
-  if (spec.width < 1 || spec.height < 1 || spec.width > 65536 || spec.height > 65536 || spec.depth > 1)
-    throw badInput(file.string(), "has a size of " + std::to_string(spec.width) + " x " + std::to_string(spec.height) +
-                                      ", expected 1 to 65536 each way");
+  for (const auto& [width, height] : {ImageSize{spec.width, spec.height}, shownSize(*input)})
+    if (width < 1 || height < 1 || width > 65536 || height > 65536 || spec.depth > 1)
+      throw badInput(file.string(), "has a size of " + std::to_string(width) + " x " + std::to_string(height) +
+                                        ", expected 1 to 65536 each way");
   return input;
 }
 
+// The display window of what was stored.
+ImageF shown(ImageF stored, const OIIO::ImageInput& input) {
+  if (!isCropped(input)) return stored;
+  const OIIO::ImageSpec& s = input.spec();
+  ImageF out(s.full_width, s.full_height, stored.channels());
+  const int first = std::max(s.x, s.full_x), end = std::min(s.x + s.width, s.full_x + s.full_width);
+  for (int y = std::max(s.y, s.full_y); y < std::min(s.y + s.height, s.full_y + s.full_height) && first < end; ++y)
+    std::copy_n(&stored.at(first - s.x, y - s.y), static_cast<std::ptrdiff_t>(end - first) * stored.channels(),
+                &out.at(first - s.full_x, y - s.full_y));
+  return out;
+}
+
+// Without plain R G B, red of two layers leaves open which of them is the picture.
+void refuseSeveralLayers(const std::filesystem::path& file, const OIIO::ImageSpec& spec) {
+  std::string layers;
+  int count = 0;
+  for (int c = 0; c < spec.nchannels; ++c) {
+    const std::string name = spec.channel_name(c);
+    if (name.ends_with(".R")) layers += (count++ > 0 ? ", " : "") + name.substr(0, name.size() - 2);
+  }
+  if (count > 1)
+    throw badInput(file.string(), "holds the layers " + layers +
+                                      " and no channels R, G, B; expected one picture: save that layer alone");
+}
+
 // The file's channels that make grey, RGB or RGBA, in that order.
-std::vector<int> colourChannels(const OIIO::ImageSpec& spec) {
+std::vector<int> colourChannels(const std::filesystem::path& file, const OIIO::ImageSpec& spec) {
   const auto find = [&](const char* name) {
     for (int c = 0; c < spec.nchannels; ++c)
       if (spec.channel_name(c) == name) return c;
@@ -56,7 +94,7 @@ std::vector<int> colourChannels(const OIIO::ImageSpec& spec) {
   else if (y >= 0)
     order = {y};
   else if (spec.nchannels >= 3)
-    order = {0, 1, 2};
+    refuseSeveralLayers(file, spec), order = {0, 1, 2};
   else
     order = {0};
   if (a >= 0 && order.size() == 3) order.push_back(a);
@@ -93,7 +131,7 @@ void writeWithOiio(const std::filesystem::path& file, const OIIO::ImageSpec& spe
 LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transfer) {
   const auto input = openInput(file);
   const OIIO::ImageSpec spec = input->spec();
-  const std::vector<int> order = colourChannels(spec);
+  const std::vector<int> order = colourChannels(file, spec);
   LoadedImage image;
   image.is_float = spec.format.is_floating_point();
   image.bits = static_cast<int>(spec.format.size() * 8);
@@ -110,6 +148,7 @@ LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transf
   for (int c = 0; c < channels; ++c) in_order = in_order && order[c] == order[0] + c;
   if (image.is_float && in_order && !straight) {  // as they stand in the file
     readInto(image.pixels.data(), order[0], order[0] + channels);
+    image.pixels = shown(std::move(image.pixels), *input);
     return image;
   }
   std::vector<float> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels);
@@ -122,6 +161,7 @@ LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transf
       if (straight && c == 3)
         for (int k = 2; k <= 4; ++k) to[-k] *= value;
     }
+  image.pixels = shown(std::move(image.pixels), *input);
   return image;
 }
 
@@ -165,7 +205,7 @@ Photograph readPhotograph(const std::filesystem::path& file, const std::optional
     input = openInput(file, config);
   }
   const OIIO::ImageSpec spec = input->spec();
-  std::vector<int> order = colourChannels(spec);
+  std::vector<int> order = colourChannels(file, spec);
   if (order.size() == 4) order.pop_back();
   std::vector<float> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels);
   if (!input->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, all.data()))
@@ -177,7 +217,8 @@ Photograph readPhotograph(const std::filesystem::path& file, const std::optional
   for (std::size_t p = 0; p < static_cast<std::size_t>(spec.width) * spec.height; ++p)
     for (const int c : order) *to++ = all[p * spec.nchannels + c];
   // RAW comes upright already.
-  photo.pixels = uprightImage(stored, photo.is_raw ? 1 : spec.get_int_attribute("Orientation", 1));
+  photo.pixels =
+      uprightImage(shown(std::move(stored), *input), photo.is_raw ? 1 : spec.get_int_attribute("Orientation", 1));
   const auto positive = [&](const char* name) -> std::optional<double> {
     const double value = spec.get_float_attribute(name, 0);
     return value > 0 && std::isfinite(value) ? std::optional<double>(value) : std::nullopt;
@@ -191,7 +232,7 @@ Photograph readPhotograph(const std::filesystem::path& file, const std::optional
 
 ImageSize readImageSize(const std::filesystem::path& file) {
   const auto input = openInput(file);
-  return {input->spec().width, input->spec().height};
+  return shownSize(*input);
 }
 
 Image8 readMask(const std::filesystem::path& file) {

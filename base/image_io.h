@@ -22,8 +22,9 @@ struct LoadedImage {
   bool is_float = true;    ///< half or float samples in the file
 };
 
-/// Reads a whole image, first part, channels by name (R G B A, else Y, else in file order). NaN and Inf are passed
-/// on as they are. Throws bad_input that names the file: missing, unreadable, truncated.
+/// Reads a whole image, first part, channels by name (R G B A, else Y, else in file order); of an EXR its display
+/// window, black where the file holds nothing. NaN and Inf are passed on as they are. Throws bad_input that names the
+/// file: missing, unreadable, truncated.
 LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transfer = Transfer::srgb);
 
 /// A photograph with what its camera says about it. Samples are as the file stores them: integer ones from 0 to 1 in

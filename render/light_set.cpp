@@ -151,6 +151,22 @@ DistantLight lightOf(const SphereMap& map, const Cell& cell) {
 
 namespace {
 
+// A texel of a coarse map is wide, and one light at its middle would not be a constant over it: each is cut until the
+// map has so many across and half as many down.
+constexpr int kLeastWidth = 64;
+
+int dividedInto(int texels, int least) {
+  return (least + texels - 1) / texels;
+}
+
+/// Each texel as across x down equal ones.
+ImageF divided(const ImageF& map, int across, int down) {
+  ImageF out(map.width() * across, map.height() * down, map.channels());
+  for (int y = 0; y < out.height(); ++y)
+    for (int x = 0; x < out.width(); ++x) std::copy_n(&map.at(x / across, y / down), map.channels(), &out.at(x, y));
+  return out;
+}
+
 /// Orders lights so that neighbours in the list are neighbours on the sphere, eights of them above all: kernels pass
 /// over lights behind a surface eight at a time.
 void orderOnSphere(std::span<DistantLight> lights) {
@@ -178,7 +194,10 @@ void orderOnSphere(std::span<DistantLight> lights) {
 
 EnvironmentSamples sampleEnvironment(const ImageF& image, int samples) {
   EnvironmentSamples result;
-  const SphereMap map(image, result.unusable_texels);
+  const int across = dividedInto(image.width(), kLeastWidth), down = dividedInto(image.height(), kLeastWidth / 2);
+  const ImageF fine = across * down > 1 ? divided(image, across, down) : ImageF();
+  const SphereMap map(fine.empty() ? image : fine, result.unusable_texels);
+  result.unusable_texels /= static_cast<std::size_t>(across) * down;
   const auto add = [&](const Cell& cell) {
     const DistantLight light = lightOf(map, cell);
     if (maxComponent(light.irradiance) > 0) result.lights.push_back(light);

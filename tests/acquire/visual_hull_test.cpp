@@ -418,6 +418,18 @@ TEST(VisualHull, BoundsCutTheHullAndCloseIt) {
   EXPECT_NEAR(meshVolume(hull.mesh), 4 * kPi / 3 - cut, 0.03);
 }
 
+TEST(VisualHull, ACubeOfBoundsWhoseCornersAreTheLatticesIsClosed) {
+  const auto views = photographs(camerasAround(10, 40, 30, 5), ball({}, 1));
+  for (const double low : {-1.0, -0.5}) {
+    HullOptions options;
+    options.bounds.emplace().extend(Point3(low, low, low));
+    options.bounds->extend(Point3(low + 1, low + 1, low + 1));
+    const auto mesh = carveVisualHull(views, options, Reporter::silent()).mesh;
+    EXPECT_TRUE(meshTopology(mesh).closed);
+    EXPECT_NEAR(meshVolume(mesh), low == -1 ? kPi / 6 : 1, 0.02);
+  }
+}
+
 TEST(VisualHull, ResolutionSetsTheCell) {
   HullOptions options;
   for (const int cells : {40, 100}) {
@@ -481,6 +493,23 @@ TEST(VisualHull, AWrongMaskIsNamedAndLeftOut) {
   EXPECT_LT(meshVolume(carveVisualHull(views, all, Reporter::silent()).mesh), 0.8 * 4 * kPi / 3);
   all.tolerance = 1;  // or overruled at every point
   EXPECT_NEAR(meshVolume(carveVisualHull(views, all, Reporter::silent()).mesh) / (4 * kPi / 3), 1, 0.05);
+}
+
+TEST(VisualHull, RightMasksOfFewViewsAreNotAccused) {
+  // Where some of few views may be overruled, what they leave bulges; one of them sees the bulges from the side.
+  for (const unsigned seed : {3u, 23u, 42u, 76u}) {
+    std::mt19937 random(seed);
+    std::normal_distribution<double> normal;
+    auto cameras = camerasAround(8 + static_cast<int>(seed % 5), 40, 30, 5);
+    for (CameraAt& camera : cameras) {
+      const Vector3 direction(normal(random), normal(random), normal(random));
+      camera.pose =
+          *lookAt<Space>(Point3{} + 5 * Vector3(normalize(direction)->raw()), Point3{}, Vector3(0.01, 0.02, 1));
+    }
+    Reporter reporter(ProgressMode::none, LogLevel::error);
+    carveVisualHull(photographs(cameras, ball({}, 1)), {}, reporter);
+    EXPECT_TRUE(reporter.warnings().empty()) << "seed " << seed << ": " << reporter.warnings()[0];
+  }
 }
 
 TEST(VisualHull, FiveWrongMasksOf36AreFound) {

@@ -1,3 +1,5 @@
+#include <OpenEXR/ImfArray.h>
+#include <OpenEXR/ImfRgbaFile.h>
 #include <gtest/gtest.h>
 
 #include <array>
@@ -175,6 +177,58 @@ TEST(Photograph, MaskedPixelsStayAndOverflowsAreClampedAndCounted) {
   EXPECT_EQ(back.at(3, 0, 0), -65504.f);
   for (const float v : back.data()) EXPECT_FALSE(std::isinf(v));
   EXPECT_EQ(writeExr(folder / "y.exr", image), 4u) << "a frame holds no NaN";
+}
+
+TEST(Photograph, AnExrIsItsDisplayWindow) {
+  const test::TemporaryFolder folder;
+  const auto write = [&](const char* name, const Imath::Box2i& display, const Imath::Box2i& data) {
+    Imf::Array2D<Imf::Rgba> pixels(data.size().y + 1, data.size().x + 1);
+    for (int y = 0; y <= data.size().y; ++y)
+      for (int x = 0; x <= data.size().x; ++x)
+        pixels[y][x] = Imf::Rgba(static_cast<float>(data.min.x + x), static_cast<float>(data.min.y + y), 1);
+    Imf::RgbaOutputFile file((folder / name).c_str(), display, data, Imf::WRITE_RGB);
+    file.setFrameBuffer(&pixels[0][0] - data.min.x - static_cast<std::ptrdiff_t>(data.min.y) * (data.size().x + 1), 1,
+                        data.size().x + 1);
+    file.writePixels(data.size().y + 1);
+    return folder / name;
+  };
+  const auto cropped = write("crop.exr", {{0, 0}, {7, 5}}, {{2, 3}, {4, 4}});
+  const auto wider = write("wide.exr", {{10, 20}, {17, 25}}, {{8, 19}, {16, 30}});
+  for (const auto& file : {cropped, wider}) {
+    EXPECT_EQ(readImageSize(file).width, 8);
+    EXPECT_EQ(readImageSize(file).height, 6);
+    ASSERT_EQ(readImage(file).pixels.width(), 8);
+    EXPECT_EQ(readPhotograph(file).pixels.height(), 6);
+  }
+  const ImageF crop = readImage(cropped).pixels, wide = readImage(wider).pixels;
+  for (int y = 0; y < 6; ++y)
+    for (int x = 0; x < 8; ++x) {
+      const bool held = x >= 2 && x <= 4 && y >= 3 && y <= 4;
+      EXPECT_EQ(crop.at(x, y, 0), held ? static_cast<float>(x) : 0.f);
+      EXPECT_EQ(crop.at(x, y, 2), held ? 1.f : 0.f);
+      EXPECT_EQ(wide.at(x, y, 0), x < 7 ? static_cast<float>(10 + x) : 0.f);
+      EXPECT_EQ(wide.at(x, y, 1), x < 7 ? static_cast<float>(20 + y) : 0.f);
+    }
+}
+
+TEST(Photograph, OfSeveralLayersTheUnnamedOneIsThePicture) {
+  const test::TemporaryFolder folder;
+  const float values[] = {0.1f, 0.2f, 0.3f, 0.4f, 0.5f, 0.6f};
+  const auto write = [&](const std::vector<const char*>& names) {
+    std::vector<ExrChannel> channels;
+    for (std::size_t i = 0; i < names.size(); ++i) channels.push_back({names[i], &values[i], 1, true});
+    writeExr(folder / "x.exr", 1, 1, channels);
+    return folder / "x.exr";
+  };
+  EXPECT_EQ(readImage(write({"AO.R", "AO.G", "AO.B", "R", "G", "B"})).pixels.data(),
+            (std::vector<float>{0.4f, 0.5f, 0.6f}));
+  EXPECT_EQ(readImage(write({"View.R", "View.G", "View.B"})).pixels.data(), (std::vector<float>{0.1f, 0.2f, 0.3f}));
+  try {
+    readImage(write({"AO.R", "AO.G", "AO.B", "Combined.R", "Combined.G", "Combined.B"}));
+    FAIL() << "which one?";
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("AO, Combined"), std::string::npos) << e.what();
+  }
 }
 
 TEST(Photograph, IntegerFilesComeAsTheyAreEncoded) {

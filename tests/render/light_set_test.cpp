@@ -106,7 +106,8 @@ TEST(EnvironmentLights, AreAsManyAsAskedForWhereTheMapHasThem) {
   EXPECT_EQ(sampleEnvironment(makeMap(64, 32, softSky), 100).lights.size(), 100u);
   EXPECT_EQ(sampleEnvironment(makeMap(64, 32, softSky), 0).lights.size(), 64u * 32u);
   EXPECT_TRUE(sampleEnvironment(ImageF(64, 32, 3), 100).lights.empty());
-  EXPECT_EQ(sampleEnvironment(ImageF(1, 1, 3, 1.f), 100).lights.size(), 1u);
+  EXPECT_EQ(sampleEnvironment(ImageF(1, 1, 3, 1.f), 1).lights.size(), 1u);
+  EXPECT_EQ(sampleEnvironment(ImageF(1, 1, 3, 1.f), 100).lights.size(), 100u);
 }
 
 /// Relative rms error of the irradiance over normals, against the sum over all texels.
@@ -156,6 +157,26 @@ TEST(EnvironmentLights, OfAConstantMapAreSpreadEvenly) {
   EXPECT_GT(degrees(least_angle), 4);
   EXPECT_LT(most_energy, 3 * 4 * kPi / 256);
   EXPECT_LT(diffuseError(makeMap(128, 64, [](const Vec3&) { return Vec3{1, 1, 1}; }), 256), 0.003);
+}
+
+TEST(EnvironmentLights, OfACoarseMapAreConstantOverItsTexels) {
+  ImageF even(1, 1, 3, 2.f), coarse(8, 4, 3), fine(512, 256, 3);
+  for (int c = 0; c < 3; ++c) coarse.at(5, 1, c) = coarse.at(2, 3, c) = 3;
+  for (int y = 0; y < 256; ++y)
+    for (int x = 0; x < 512; ++x) fine.at(x, y, 1) = coarse.at(x / 64, y / 64, 1);
+  for (const int samples : {0, 256})
+    for (const Vec3& normal : {Vec3{0, 0, 1}, Vec3{1, 0, 0}, unit({-1, 2, 0.5})}) {
+      const auto irradiance = [&](const ImageF& map) {
+        double sum = 0;
+        for (const DistantLight& light : sampleEnvironment(map, samples).lights)
+          sum += std::fmax(0, dot(light.direction.raw(), normal)) * light.irradiance.y;
+        return sum;
+      };
+      EXPECT_NEAR(irradiance(even), 2 * kPi, 0.02 * kPi);
+      EXPECT_NEAR(irradiance(coarse), irradiance(fine), 0.01 * irradiance(fine));
+    }
+  coarse.at(0, 0, 0) = -1;
+  EXPECT_EQ(sampleEnvironment(coarse, 0).unusable_texels, 1u);
 }
 
 TEST(EnvironmentLights, UnusableTexelsCountAsBlackAndAreCounted) {
