@@ -36,9 +36,8 @@ struct FrameLights {
 
 /// An environment map reduced to N distant lights: each cell of a partition of the sphere gives its integrated energy
 /// at its energy centroid (theory: a value at the cell's direction fails on small bright sources). Sum of irradiances =
-/// integral of radiance over the sphere to 1e-6. `samples` 0: one light a texel that is not black (of a map less than 64
-/// wide, several). Before rotation.
-/// `map`: grey, RGB or RGBA (alpha left out); orientation in formats.md.
+/// integral of radiance over the sphere to 1e-6. `samples` 0: one light a texel that is not black (of a map less than
+/// 64 wide, several). Before rotation. `map`: grey, RGB or RGBA (alpha left out); orientation in formats.md.
 struct EnvironmentSamples {
   std::vector<DistantLight> lights;
   std::size_t unusable_texels = 0;  ///< with a negative, NaN or infinite value: such values count as 0
