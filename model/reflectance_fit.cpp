@@ -31,6 +31,9 @@ constexpr double kLobePays = 0.98;           // ... that leaves at most this sha
 constexpr double kFresnelShare = 0.95;       // of the points have no larger kf than the largest believed ...
 constexpr float kFresnelSpread = 2;          // ... over this
 constexpr double kBrightShare = 0.99;        // of the points are no brighter than a surface that reflects all it gets
+// Under captured lights guidance may err more with a view left out than plain interpolation: by this share of plain's
+// squared error at most, where that is small beside what it gains with a light left out too: at most this share of it.
+constexpr double kLittleHarm = 0.5, kSmallBesideGain = 0.05;
 // Of plain's squared error under one light, and of its mean over the lights: more than both together is harm.
 constexpr double kHarm = 1.1, kSlack = 0.05;
 constexpr int kDoubtedLights = 2;  // more in shadow, so that one alone tells little
@@ -357,12 +360,15 @@ void openGates(std::span<const PointError> errors, std::vector<FittedPoint>& fit
     const PointError& e = errors[i];
     if (e.samples == 0) continue;
     const double others = kSamplesThatTell / e.samples * e.square / all.square;
+    const double excused =
+        std::min(kLittleHarm * e.view.plain, kSmallBesideGain * std::max(0.0, e.both.plain - e.both.guided));
     const auto gate = [&](const PointError::Ways& own, const PointError::Ways& of_all, double open) {
       return gateOf(std::sqrt(own.guided + others * of_all.guided), std::sqrt(own.plain + others * of_all.plain), open);
     };
+    const PointError::Ways view{e.view.plain + excused, e.view.guided};
     // Under a captured light, where both return the photographs of a matt surface, open where it does not harm.
     fitted[i].gate = static_cast<float>(
-        std::min({gate(e.light, all.light, 0.9), gate(e.both, all.both, 0.9), gate(e.view, all.view, 1)}));
+        std::min({gate(e.light, all.light, 0.9), gate(e.both, all.both, 0.9), gate(view, all.view, 1)}));
   }
 }
 

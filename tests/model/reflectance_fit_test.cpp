@@ -96,6 +96,28 @@ TEST(ReflectanceFit, SlantedViewsCountAsFarAsTheyForetellOthers) {
   EXPECT_LT(turning, 0.3);
 }
 
+// Light that comes by way of other surfaces shows from all sides alike; the model takes it for a lobe, and foretells a
+// view less well than other views do, but a light far better than other lights.
+TEST(ReflectanceFit, LittleHarmFromViewsLeftOutClosesNoGate) {
+  const auto gates = [](double indirect) {
+    const test::TemporaryFolder folder;
+    test::FormulaFieldOptions options;
+    options.lights = 24, options.size = 32, options.subdivision = 3;
+    const test::FormulaField field =
+        test::makeSphereField(folder / "f.srf", options, [&](const Vec3& p, const Vec3& l, const Vec3& v) {
+          const double cosine = std::max(0.0, dot(p, l));
+          const double blur = 0.05 * std::sin(40 * v.x + 30 * v.y);
+          return 0.2 * cosine * (1 + indirect * (1 - cosine)) * (1 + blur) * Vec3{1, 1, 1};
+        });
+    const auto fit = fitReflectance(field.folder, field.manifest, field.model, {}, Reporter::silent());
+    double sum = 0;
+    for (const FittedPoint& point : fit->points) sum += double{point.gate};
+    return sum / static_cast<double>(fit->points.size());
+  };
+  EXPECT_GT(gates(0.2), 0.7);  // 0.37 where no harm is excused
+  EXPECT_LT(gates(2), 0.05);
+}
+
 // One view under a few lights: by a dozen samples alone noise would close the gates of 15 of these points.
 TEST(ReflectanceFit, ChanceClosesNoGateWhereSamplesAreFew) {
   const test::TemporaryFolder folder;
