@@ -10,9 +10,9 @@
 namespace srf {
 namespace {
 
-constexpr double kSlack = 1.0;  // pixels that a silhouette's distance may jump by between pixels (thin parts)
-constexpr double kDeep = 2.0;   // cells: views deeper inside than this do not matter at the surface
-constexpr double kEnd = 0.02;   // of an edge: vertices stay this far from its ends, so that no triangle has zero area
+constexpr double kSlack = 1.0;   // pixels that a silhouette's distance may jump by between pixels (thin parts)
+constexpr double kDeep = 2.0;    // cells: views deeper inside than this do not matter at the surface
+constexpr double kEnd = 0.02;    // of an edge: vertices stay this far from its ends, so that no triangle has zero area
 constexpr double kTouch = 1e-6;  // of a cell: what touches the bounds but for rounding is not passed over
 constexpr double kMarginOfStretch = 1.05;  // the lens is sampled, not bounded
 

@@ -95,9 +95,17 @@ std::vector<int> colourChannels(const std::filesystem::path& file, const OIIO::I
     order = {y};
   else if (spec.nchannels >= 3)
     refuseSeveralLayers(file, spec), order = {0, 1, 2};
+  else if (spec.nchannels == 2)
+    throw badInput(file.string(), "holds the channels " + std::string(spec.channel_name(0)) + " and " +
+                                      std::string(spec.channel_name(1)) +
+                                      "; expected R, G, B, or Y for grey, with or without A");
   else
     order = {0};
   if (a >= 0 && order.size() == 3) order.push_back(a);
+  for (const int c : order)
+    if (spec.channelformat(c) == OIIO::TypeDesc::UINT)
+      throw badInput(file.string(), "holds whole numbers of 32 bits in " + std::string(spec.channel_name(c)) +
+                                        ", which have no scale; expected half or float, or integers of 8 or 16 bits");
   return order;
 }
 

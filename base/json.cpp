@@ -185,6 +185,13 @@ JsonNode readJsonFile(const std::filesystem::path& file) {
   return rootOf(readTextFile(file), file.string());
 }
 
+std::filesystem::path existingFile(const JsonNode& node, const std::filesystem::path& folder) {
+  std::filesystem::path file = folder / node.string();
+  if (!std::filesystem::is_regular_file(file))
+    throw node.error("the file '" + file.string() + "' does not exist; the path is relative to the scene's file");
+  return file;
+}
+
 JsonNode withOverride(const JsonNode& root, const std::string& assignment) {
   const auto equals = assignment.find('=');
   if (equals == std::string::npos || assignment.empty() || assignment[0] != '/')

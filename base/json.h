@@ -61,6 +61,8 @@ class JsonNode {
 
 /// Parses a file; throws bad_input with line and column on a syntax error, or where it is missing or unreadable.
 JsonNode readJsonFile(const std::filesystem::path& file);
+/// The file that a node names, relative to the folder of the file it stands in; throws bad_input where there is none.
+std::filesystem::path existingFile(const JsonNode& node, const std::filesystem::path& folder);
 /// Parses a string; `name` stands for the file in errors.
 JsonNode parseJson(const std::string& text, const std::string& name);
 /// Sets the value at a JSON pointer (for --set /json/pointer=value); the value is parsed as JSON, else taken as a

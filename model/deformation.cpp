@@ -531,7 +531,7 @@ namespace {
 AnimatedDeformation::BindVertices parseSkin(const JsonNode& node, const std::filesystem::path& folder) {
   node.onlyKeys({"type", "file", "mesh", "animation", "proxy", "loop"});
   SkinSource source;
-  source.gltf = std::make_shared<const Gltf>(readGltf(folder / node["file"].string()));
+  source.gltf = std::make_shared<const Gltf>(readGltf(existingFile(node["file"], folder)));
   source.where = node.where();
   source.node = source.gltf->meshNode(node.has("mesh") ? node["mesh"].string() : "", node.where() + "/mesh");
   source.animation =
@@ -548,9 +548,8 @@ AnimatedDeformation::BindVertices parseSequence(const JsonNode& node, const std:
   const std::string pattern = node["file"].string();
   if (std::filesystem::path(pattern).filename().string().find('#') == std::string::npos)
     throw node["file"].error("found '" + pattern + "', expected a pattern such as name.####.ply");
-  return [file = (folder / pattern).string()](const AcquisitionMesh& rest, double, Reporter&) {
-    return sequenceMotion(file, rest);
-  };
+  return [file = (folder / pattern).string(), where = node["file"].where()](
+             const AcquisitionMesh& rest, double, Reporter&) { return sequenceMotion(file, rest, where); };
 }
 
 }  // namespace

@@ -55,7 +55,8 @@ std::string fileOfFrame(std::string file, int frame) {
 
 class Sequence final : public VertexMotion {
  public:
-  Sequence(const std::string& pattern, const AcquisitionMesh& rest) : pattern_(pattern), rest_(rest) {}
+  Sequence(const std::string& pattern, const AcquisitionMesh& rest, const std::string& where)
+      : pattern_(pattern), where_(where), rest_(rest) {}
   MovedVertices at(double frame) const override {
     const double whole = std::floor(frame), part = frame - whole;
     MovedVertices moved{*positions(static_cast<int>(whole)), {}};
@@ -79,6 +80,9 @@ class Sequence final : public VertexMotion {
   }
   Positions read(int frame) const {
     const std::string file = fileOfFrame(pattern_, frame);
+    if (!std::filesystem::is_regular_file(file))
+      throw badInput(where_, "the file '" + file + "' of frame " + std::to_string(frame) +
+                                 " does not exist; a sequence has one for each frame that is rendered");
     const AcquisitionMesh mesh = readMesh(file);
     const auto different = [&file](const std::string& what, std::size_t found, std::size_t expected) {
       return badInput(file, "has " + std::to_string(found) + " " + what + ", the model's rest mesh has " +
@@ -105,7 +109,7 @@ class Sequence final : public VertexMotion {
     for (std::size_t i = 0; i < positions.size(); ++i) positions[i] = Point<ObjectSpace>(mesh.positions[i].raw());
     return std::make_shared<const std::vector<Point<ObjectSpace>>>(std::move(positions));
   }
-  std::string pattern_;
+  std::string pattern_, where_;
   AcquisitionMesh rest_;
   mutable std::mutex mutex_;
   mutable std::array<std::pair<int, Positions>, 2> kept_;
@@ -113,8 +117,9 @@ class Sequence final : public VertexMotion {
 
 }  // namespace
 
-std::unique_ptr<const VertexMotion> sequenceMotion(const std::string& pattern, const AcquisitionMesh& rest) {
-  return std::make_unique<Sequence>(pattern, rest);
+std::unique_ptr<const VertexMotion> sequenceMotion(const std::string& pattern, const AcquisitionMesh& rest,
+                                                   const std::string& where) {
+  return std::make_unique<Sequence>(pattern, rest, where);
 }
 
 MeshParts meshParts(const AcquisitionMesh& rest) {

@@ -28,8 +28,9 @@ class VertexMotion {
 };
 
 /// One PLY or OBJ mesh a frame (the last run of # in the pattern's file name is the frame) with the topology of `rest`;
-/// between whole frames the vertices move straight.
-std::unique_ptr<const VertexMotion> sequenceMotion(const std::string& pattern, const AcquisitionMesh& rest);
+/// between whole frames the vertices move straight. `where` names the pattern's place in errors of missing files.
+std::unique_ptr<const VertexMotion> sequenceMotion(const std::string& pattern, const AcquisitionMesh& rest,
+                                                   const std::string& where);
 
 /// The connected parts of a rest mesh.
 struct MeshParts {

@@ -90,6 +90,10 @@ void countPoints(const DeformedStatistics& statistics, double moment, Reporter& 
 fs::path fieldOf(const Scene& scene, const AnimationOptions& options) {
   const fs::path srf = options.srf.empty() ? scene.srf : options.srf;
   if (srf.empty()) throw badInput(scene.file.string(), "names no field; add \"srf\" to it or give --srf X.srf");
+  if (options.srf.empty() && !fs::is_directory(srf))
+    throw badInput(scene.file.string() + ": /srf", "'" + srf.string() +
+                                                       "' is not a folder, expected an SRF, relative to the scene's "
+                                                       "file; make one with `srf acquire` or mend the path");
   return srf;
 }
 

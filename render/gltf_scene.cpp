@@ -11,7 +11,7 @@ std::string stringOr(const JsonNode& node, const char* key) {
 }
 
 std::shared_ptr<const Gltf> open(const JsonNode& node, const std::filesystem::path& folder) {
-  return std::make_shared<const Gltf>(readGltf(folder / node["file"].string()));
+  return std::make_shared<const Gltf>(readGltf(existingFile(node["file"], folder)));
 }
 
 }  // namespace

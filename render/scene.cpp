@@ -56,7 +56,7 @@ Animated<double> numberOr(const JsonNode& parent, std::string_view key, double o
 SceneCamera readCamera(const JsonNode& node, const std::filesystem::path& folder) {
   if (node.has("gltf")) return FileCamera(node, folder);
   if (!node.has("look_at")) {
-    node.onlyKeys({SRF_LENS_KEYS, "transform_matrix", "look_at", "vfov", "gltf"});
+    node.onlyKeys({SRF_LENS_KEYS, "camera_angle_x", "camera_angle_y", "transform_matrix", "look_at", "vfov", "gltf"});
     if (!node.has("transform_matrix"))
       throw node.error("has neither look_at, transform_matrix nor gltf; add one of them");
     if (const auto vfov = node.find("vfov"))
@@ -92,10 +92,7 @@ SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) 
     case 2: {
       node.onlyKeys({"type", "map", "rotation", "scale", "samples"});
       EnvironmentLight light;
-      light.map = folder / node["map"].string();
-      if (!std::filesystem::is_regular_file(light.map))
-        throw node["map"].error("the file '" + light.map.string() +
-                                "' does not exist; the path is relative to the scene's file");
+      light.map = existingFile(node["map"], folder);
       light.rotation = numberOr(node, "rotation", 0);
       light.scale = numberOr(node, "scale", 1);
       if (const auto samples = node.find("samples")) light.samples = static_cast<int>(samples->integer(0, 1000000));

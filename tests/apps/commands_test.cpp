@@ -388,7 +388,7 @@ TEST(BadScene, LightDirectionWithoutLengthIsNamed) {
 TEST(BadScene, MissingFieldIsNamed) {
   Json scene = sample().sceneJson();
   scene["srf"] = "nothing.srf";
-  expectSceneRefused(scene, {"nothing.srf"});
+  expectSceneRefused(scene, {"/srf", "nothing.srf"});
 }
 
 TEST(BadField, TruncatedStoreIsNamed) {

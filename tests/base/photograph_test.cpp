@@ -1,4 +1,8 @@
 #include <OpenEXR/ImfArray.h>
+#include <OpenEXR/ImfChannelList.h>
+#include <OpenEXR/ImfFrameBuffer.h>
+#include <OpenEXR/ImfHeader.h>
+#include <OpenEXR/ImfOutputFile.h>
 #include <OpenEXR/ImfRgbaFile.h>
 #include <gtest/gtest.h>
 
@@ -229,6 +233,28 @@ TEST(Photograph, OfSeveralLayersTheUnnamedOneIsThePicture) {
   } catch (const Error& e) {
     EXPECT_NE(std::string(e.what()).find("AO, Combined"), std::string::npos) << e.what();
   }
+}
+
+TEST(Photograph, ChannelsThatAreNoPictureAreRefused) {
+  const test::TemporaryFolder folder;
+  const float values[] = {0.1f, 0.2f};
+  writeExr(folder / "rg.exr", 1, 1, {{"R", &values[0], 1, true}, {"G", &values[1], 1, true}});
+  EXPECT_THROW(readImage(folder / "rg.exr"), Error);
+  writeExr(folder / "ya.exr", 1, 1, {{"Y", &values[0], 1, true}, {"A", &values[1], 1, true}});
+  EXPECT_EQ(readImage(folder / "ya.exr").pixels.data(), (std::vector<float>{0.1f, 0.1f, 0.1f, 0.2f}));
+  Imf::Header header(1, 1);
+  const std::uint32_t one = 1;
+  Imf::FrameBuffer buffer;
+  for (const char* name : {"R", "G", "B"}) {
+    header.channels().insert(name, Imf::Channel(Imf::UINT));
+    buffer.insert(name, Imf::Slice(Imf::UINT, reinterpret_cast<char*>(const_cast<std::uint32_t*>(&one)), 4, 4));
+  }
+  {
+    Imf::OutputFile file((folder / "whole.exr").c_str(), header);
+    file.setFrameBuffer(buffer);
+    file.writePixels(1);
+  }
+  EXPECT_THROW(readImage(folder / "whole.exr"), Error);
 }
 
 TEST(Photograph, IntegerFilesComeAsTheyAreEncoded) {

@@ -639,12 +639,19 @@ TEST(SequenceMotion, MomentsBetweenTwoFramesReadEachFileOnce) {
   writePly(folder / "a.0003.ply", mesh);
   for (auto& p : mesh.positions) p = Point<AcquisitionSpace>(p.raw() + Vec3{0, 0, 1});
   writePly(folder / "a.0004.ply", mesh);
-  const auto motion = sequenceMotion((folder / "a.####.ply").string(), rest);
+  const auto motion = sequenceMotion((folder / "a.####.ply").string(), rest, "s.json: /deformation/0/file");
   EXPECT_NEAR(motion->at(3.25).positions[1].raw().z, 0.25, 1e-6);
   std::filesystem::remove(folder / "a.0003.ply");
   std::filesystem::remove(folder / "a.0004.ply");
   for (const double part : {0.0, 0.5, 0.75}) EXPECT_NEAR(motion->at(3 + part).positions[1].raw().z, part, 1e-6);
-  EXPECT_THROW(motion->at(5), Error);
+  try {
+    motion->at(5);
+    FAIL() << "there is no frame 5";
+  } catch (const Error& e) {
+    const std::string text = e.what();
+    EXPECT_NE(text.find("s.json: /deformation/0/file"), std::string::npos) << text;
+    EXPECT_NE(text.find("a.0005.ply"), std::string::npos) << text;
+  }
 }
 
 }  // namespace

@@ -133,6 +133,8 @@ TEST_F(SceneTest, RefusalsNameThePlaceAndTheMend) {
   EXPECT_REFUSED(light(R"({"type": "spot"})"), "/lights/0/type", "'environment'");
   EXPECT_REFUSED(light(R"({"type": "point", "position": [0, 0], "intensity": [1, 1, 1]})"), "/lights/0/position");
   EXPECT_REFUSED(light(R"({"type": "environment", "map": "missing.exr"})"), "/lights/0/map", "missing.exr");
+  EXPECT_REFUSED(refusal(both + R"(, "deformation": [{"type": "skin", "file": "missing.glb"}])"),
+                 "scene.json: /deformation/0/file", "missing.glb", "does not exist");
 }
 
 TEST_F(SceneTest, CamerasThatSeeNothingAreRefused) {
@@ -174,6 +176,12 @@ TEST_F(SceneTest, LookAtAndMatrixDescribeTheSameCamera) {
   }
 }
 
+TEST_F(SceneTest, AMatrixCameraTakesAnAngleAsAFrameOfACaptureDoes) {
+  const Scene scene = read(R"("camera": {"w": 64, "h": 48, "camera_angle_x": 1.5707963267948966,
+    "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]},)" +
+                           kLights);
+  EXPECT_NEAR(scene.cameraAt(0).lens.fl_x, 32, 1e-9);
+}
 TEST_F(SceneTest, AMatrixCameraTakesALens) {
   const Scene scene = read(R"("camera": {"camera_model": "OPENCV", "w": 64, "h": 48, "fl_x": 60, "fl_y": 61, "cx": 30,
     "cy": 25, "k1": -0.1, "p2": 0.01, "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]},)" +
@@ -285,7 +293,8 @@ TEST_F(SceneTest, WhatAGltfDoesNotHoldIsRefused) {
   writeTextFile(folder_ / "stage.gltf", stageFile());
   EXPECT_REFUSED(refusal(R"("camera": {"w": 64, "h": 48, "gltf": {"file": "stage.gltf", "name": "eys"}},)" + kLights),
                  "/camera/gltf/name", "'eye'");
-  EXPECT_REFUSED(refusal(R"("camera": {"w": 64, "h": 48, "gltf": {"file": "none.gltf"}},)" + kLights), "none.gltf");
+  EXPECT_REFUSED(refusal(R"("camera": {"w": 64, "h": 48, "gltf": {"file": "none.gltf"}},)" + kLights),
+                 "scene.json: /camera/gltf/file", "none.gltf");
   EXPECT_REFUSED(refusal(R"("camera": {"w": 64, "gltf": {"file": "stage.gltf"}},)" + kLights), "/camera", "h");
   std::string spot = stageFile();
   spot.replace(spot.find("directional"), 11, "spot");
