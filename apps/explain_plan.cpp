@@ -14,6 +14,7 @@
 #include "base/parallel.h"
 #include "base/text.h"
 #include "field/srf_folder.h"
+#include "render/capture_support.h"
 #include "render/light_set.h"
 #include "render/light_weights.h"
 
@@ -270,8 +271,10 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       shortNumber(counted("operations")) + " operations, " + shortNumber(figure("cache.misses")) + " blocks read");
 
   const auto& support = rendered.at(0).support;
+  const int step = supportStep(camera.lens.width, camera.lens.height);
   add("capture support", true, "srf explain tells it; srf render does with --stats or a layer of it alone",
-      "at most every fourth of " + shortNumber(pixels * static_cast<double>(moments)) + " pixels",
+      "at most one in " + std::to_string(step * step) + " of " + shortNumber(pixels * static_cast<double>(moments)) +
+          " pixels",
       shortNumber(support ? static_cast<double>(support->hits) : 0) + " places, " +
           shortNumber(std::round(1e4 * figure("seconds.support")) / 1e4) + " s, " +
           shortNumber(std::round(1e3 * figure("seconds.support") / rendered.at(0).seconds) / 10) + " % of the frame");

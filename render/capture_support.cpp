@@ -1,6 +1,7 @@
 #include "render/capture_support.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdio>
 #include <sstream>
@@ -71,6 +72,10 @@ std::optional<FrameSupport> FrameSupport::fromNumbers(const std::string& text) {
   std::istringstream in(text);
   in >> s.hits >> s.supported >> s.view_far >> s.light_far >> s.occluded >> s.stretched;
   return in ? std::optional(s) : std::nullopt;
+}
+
+int supportStep(int width, int height) {
+  return static_cast<int>(std::bit_floor(static_cast<unsigned>(std::max(128, std::min(width, height)) / 128)));
 }
 
 std::string supportOfFrames(std::span<const std::pair<int, FrameSupport>> frames) {

@@ -41,6 +41,10 @@ struct FrameSupport {
   static std::optional<FrameSupport> fromNumbers(const std::string& text);
 };
 
+/// FrameSupport is summed over every so manieth row and column: some 128 x 128 pixels of a frame, of large ones up to
+/// four times as many.
+int supportStep(int width, int height);
+
 /// One sentence on several frames: "41 to 97 % of the picture is supported by the capture (least: frame 24)". Empty
 /// where no frame tells.
 std::string supportOfFrames(std::span<const std::pair<int, FrameSupport>> frames);

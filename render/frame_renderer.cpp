@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <atomic>
-#include <bit>
 #include <chrono>
 #include <cmath>
 #include <limits>
@@ -216,8 +215,7 @@ FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& fra
       lens(effects.lens),
       pattern(samplePattern(samplesOf(state.settings, frame_camera, deformed_model))),
       shading(pattern.size() == 1 ? state.settings.accuracy.shading : Shading::every),
-      support_step(static_cast<int>(
-          std::bit_floor(static_cast<unsigned>(std::max(128, std::min(camera.lens.width, camera.lens.height)) / 128)))),
+      support_step(supportStep(camera.lens.width, camera.lens.height)),
       cover(effects.lens || effects.ground ? ScreenCover() : ScreenCover(frame_camera, deformed_model)),
       lighting(frame_lights, state.lists, lightingOptions(state, deformed_model, frame_lights)) {
   for (std::size_t v = 0; v < state.stores.size(); ++v)

@@ -105,7 +105,7 @@ struct FramePlan {
   std::optional<ThinLens> lens;  ///< none: a pinhole
   std::vector<Vec2> pattern;     ///< samples of a pixel
   Shading shading;               ///< Accuracy::shading of one sample a pixel; of several every one is shaded
-  int support_step;              ///< FrameSupport is of every so manieth pixel, both ways: some 128 x 128 of a frame
+  int support_step;              ///< supportStep
   ScreenCover cover;
   FrameLighting lighting;
   std::optional<GuidedLighting> guided;  ///< none where nothing guides
