@@ -7,6 +7,7 @@
 #include "acquire/hull_components.h"
 #include "acquire/mesh_coverage.h"
 #include "acquire/signed_silhouette.h"
+#include "acquire/silhouette_contours.h"
 #include "acquire/silhouette_field.h"
 #include "base/error.h"
 #include "base/numeric.h"
@@ -174,16 +175,24 @@ Box3 shrunk(const HullViews& views, int tolerance, Box3 box) {
   return box;
 }
 
-// A tight box about what the views leave. Where no bounds are given the guess grows until the hull stays off its faces.
-Box3 tightBounds(const HullViews& views, int tolerance, const std::optional<Box3>& given) {
+bool touches(const Box3& found, const Box3& box) {
+  const double margin = 0.02 * longestSide(box);
+  return minComponent(found.min - box.min) < margin || minComponent(box.max - found.max) < margin;
+}
+
+// A tight box about what the views leave. Where no bounds are given the guess grows until the hull stays off its faces;
+// `open`, unless null: whether it never does.
+Box3 tightBounds(const HullViews& views, int tolerance, const std::optional<Box3>& given, bool* open = nullptr) {
   if (given) return shrunk(views, tolerance, occupied(views, tolerance, *given));
   Box3 box = guessBounds(views);
   for (int round = 0;; ++round) {
     const Box3 found = occupied(views, tolerance, box);
-    const double margin = 0.02 * longestSide(box);
-    const bool touches = minComponent(found.min - box.min) < margin || minComponent(box.max - found.max) < margin;
     if (found.empty()) return found;
-    if (!touches || round == 4) return shrunk(views, tolerance, found);
+    const bool goes_on = touches(found, box);
+    if (!goes_on || round == 4) {
+      if (open) *open = goes_on;
+      return shrunk(views, tolerance, found);
+    }
     const Vec3 more = 0.3 * (box.max - box.min);
     box.min -= more, box.max += more;
   }
@@ -226,12 +235,14 @@ struct Trial {
   int tolerance = 0;
   Box3 box;  // tight about it
   std::vector<ViewConsistency> agreement;
+  bool open = false;  // it goes on beyond the box
 };
 Trial tryTolerantHull(const HullViews& views, int tolerance, const std::optional<Box3>& bounds) {
   const int most = std::min<int>(static_cast<int>(views.size()) / 4, kMostTolerance);
   Trial trial;
   for (int m = std::min(std::max(2, tolerance), most);; m = std::min(2 * m, most)) {
-    trial = {m, tightBounds(views, m, bounds), {}};
+    trial = {m, {}, {}};
+    trial.box = tightBounds(views, m, bounds, &trial.open);
     if (!trial.box.empty()) {
       const auto mesh = carve(views, m, trial.box, longestSide(trial.box) / kCoarseCells, Reporter::silent());
       trial.agreement = compare(mesh, sources(views), kCoarseCells);
@@ -268,6 +279,20 @@ bool allAgree(const HullViews& views, const std::optional<Box3>& bounds) {
   const auto agreement = compare(mesh, sources(views), kCoarseCells);
   return std::all_of(agreement.begin(), agreement.end(),
                      [](const ViewConsistency& a) { return a.covered >= kCoveredByOthers; });
+}
+
+// Says that the hull has no end, and whose pictures cut the object.
+void warnOfOpenHull(const HullViews& views, Reporter& reporter) {
+  std::string names;
+  std::size_t cut = 0;
+  for (const HullView* v : views)
+    if (reachesBorder(v->view->mask) && ++cut <= 3) names += (cut > 1 ? ", " : "") + v->view->name;
+  if (cut > 3) names += ", ..";
+  reporter.warn("the silhouettes do not bound the object: the hull goes on beyond what the pictures show" +
+                (cut > 0 ? ", whose edge cuts the object in " + std::to_string(cut) + " of " +
+                               std::to_string(views.size()) + " views (" + names + ")"
+                         : std::string()) +
+                "; give its bounds, as --bounds or as \"aabb\" in transforms.json");
 }
 
 // Names the views that disagree most with what the others leave.
@@ -311,6 +336,7 @@ VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullO
   VisualHull hull;
   std::vector<bool> excluded(views.size(), false);
   std::optional<Box3> within;
+  bool open = false;
   if (options.exclude_outliers && views.size() >= 4) {
     Reporter::Stage stage(reporter, "silhouette agreement", 1);
     const Trial trial = tryTolerantHull(used, options.tolerance, options.bounds);
@@ -330,14 +356,15 @@ VisualHull carveVisualHull(const std::vector<SilhouetteView>& views, const HullO
         reporter.count("hull.views_left_out");
       }
       // The more views may be overruled, the larger the hull: the trial holds that of the same views.
-      if (used.size() == views.size() && options.tolerance <= trial.tolerance) within = trial.box;
+      if (used.size() == views.size() && options.tolerance <= trial.tolerance) within = trial.box, open = trial.open;
     }
     stage.advance();
   }
 
   const Box3 tight =
-      within ? shrunk(used, options.tolerance, *within) : tightBounds(used, options.tolerance, options.bounds);
+      within ? shrunk(used, options.tolerance, *within) : tightBounds(used, options.tolerance, options.bounds, &open);
   if (tight.empty()) throw nothingLeft(used, options.bounds);
+  if (open && (!within || touches(tight, *within))) warnOfOpenHull(used, reporter);
   const int cells = options.resolution > 0 ? options.resolution : pixelsAcross(used, tight, kLeastCells, kMostCells);
   hull.cell = longestSide(tight) / cells;
   hull.mesh = carve(used, options.tolerance, tight, hull.cell, reporter);

@@ -406,6 +406,36 @@ TEST(VisualHull, CroppedViewsSayNothingOfWhatTheyDoNotSee) {
   for (const auto& view : hull.views) EXPECT_FALSE(view.excluded) << view.name << " " << view.iou;
 }
 
+TEST(VisualHull, SilhouettesThatDoNotBoundTheObjectAskForBounds) {
+  // A ball that every picture cuts above and below, from cameras on the equator.
+  std::vector<CameraAt> cameras;
+  for (int i = 0; i < 8; ++i) {
+    CameraAt camera;
+    camera.lens = pinholeFromFov(96, 48, 10);
+    const double phi = 0.4 + i * kPi / 4;
+    camera.pose = *lookAt<Space>(Point3() + 9.0 * Vector3(std::cos(phi), std::sin(phi), 0), {}, Vector3(0, 0, 1));
+    cameras.push_back(camera);
+  }
+  const auto views = photographs(cameras, ball({}, 1));
+  const auto warnings = [&](const std::vector<SilhouetteView>& of, const HullOptions& options) {
+    Reporter reporter(ProgressMode::none, LogLevel::error);
+    carveVisualHull(of, options, reporter);
+    std::string all;
+    for (const std::string& line : reporter.warnings()) all += line + "\n";
+    return all;
+  };
+  const std::string told = warnings(views, {});
+  EXPECT_NE(told.find("do not bound the object"), std::string::npos) << told;
+  EXPECT_NE(told.find("8 of 8 views (view0, view1, view2, ..)"), std::string::npos) << told;
+  EXPECT_NE(told.find("--bounds"), std::string::npos) << told;
+  HullOptions bounded;
+  bounded.bounds.emplace();
+  bounded.bounds->extend(Point3(-1.2, -1.2, -1.2));
+  bounded.bounds->extend(Point3(1.2, 1.2, 1.2));
+  EXPECT_EQ(warnings(views, bounded).find("do not bound"), std::string::npos);
+  EXPECT_EQ(warnings(ballViews(), {}).find("do not bound"), std::string::npos);
+}
+
 TEST(VisualHull, BoundsCutTheHullAndCloseIt) {
   HullOptions options;
   options.bounds.emplace();
