@@ -189,8 +189,11 @@ std::vector<const MeasuredSetting*> Study::front() const {
   std::stable_sort(sorted.begin(), sorted.end(), [](const auto* a, const auto* b) {
     return std::pair(a->worstSeconds(), a->worstError()) < std::pair(b->worstSeconds(), b->worstError());
   });
-  for (const MeasuredSetting* m : sorted)
+  const bool has_exact = find(exact) != nullptr;
+  for (const MeasuredSetting* m : sorted) {
+    if (has_exact && m->keys != exact && !(m->worstError() > 0)) continue;
     if (best.empty() || m->worstError() < best.back()->worstError()) best.push_back(m);
+  }
   return best;
 }
 

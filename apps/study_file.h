@@ -74,7 +74,9 @@ struct Study {
   std::vector<MeasuredSetting> measured;
 
   const MeasuredSetting* find(const SceneKeys& keys, std::size_t memory_bytes = 0) const;
-  /// Those that no other one beats in both worst error and worst time, fastest first: the error falls strictly.
+  /// Those that no other one beats in both worst error and worst time, fastest first: the error falls strictly. The
+  /// all-exact one, if measured, is the last: another one without error at the frames that were looked at may have some
+  /// elsewhere.
   std::vector<const MeasuredSetting*> front() const;
   /// Of errors but 0: how far the all-exact setting itself is from --reference, below which a promise against that
   /// setting would be idle. 0 without true pictures.

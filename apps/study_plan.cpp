@@ -5,6 +5,7 @@
 
 #include "base/image_io.h"
 #include "base/text.h"
+#include "render/light_set.h"
 
 namespace srf {
 namespace {
@@ -38,8 +39,8 @@ double lightsTaken(int samples) {
 
 struct Environments {
   std::vector<std::string> keys;
-  int own = 0;  // the most of any; 0: every texel
-  double texels = 0;
+  int own = 0;      // the most of any; 0: every texel
+  double most = 0;  ///< that samples 0 takes
 };
 Environments environmentsOf(const Scene& scene) {
   Environments found;
@@ -50,7 +51,7 @@ Environments environmentsOf(const Scene& scene) {
       found.own = environment->samples;
     found.keys.push_back("/lights/" + std::to_string(i) + "/samples");
     const ImageSize size = readImageSize(environment->map);
-    found.texels = std::max(found.texels, static_cast<double>(size.width) * size.height);
+    found.most = std::max(found.most, static_cast<double>(mostEnvironmentLights(size.width, size.height)));
   }
   return found;
 }
@@ -118,9 +119,9 @@ SceneKeys exactSetting(const Scene& scene, const SceneProbe& probe, double secon
   keys[kSharing] = "0";
   if (scene.accuracy.shading != Shading::every) keys[kShading] = "\"every\"";
   if (probe.shadow_rays) keys[kShadowRays] = text(kEveryRay);
-  const double own_lights = environments.own == 0 ? environments.texels : environments.own;
+  const double own_lights = environments.own == 0 ? environments.most : environments.own;
   int samples = 16;
-  double lights = environments.keys.empty() ? 0 : std::min(environments.texels, 4096.0);
+  double lights = environments.keys.empty() ? 0 : std::min(environments.most, 4096.0);
   for (bool fewer_lights = false; samples > 1; fewer_lights = !fewer_lights) {
     const double cost = probe.seconds * samples * (own_lights > 0 ? std::max(1.0, lights / own_lights) : 1);
     if (cost <= seconds) break;
@@ -130,7 +131,7 @@ SceneKeys exactSetting(const Scene& scene, const SceneProbe& probe, double secon
       samples /= 2;
   }
   keys[kSamples] = text(std::max(samples, scene.samples));
-  const bool all = environments.own == 0 || lights >= environments.texels;
+  const bool all = environments.own == 0 || lights >= environments.most;
   for (const std::string& key : environments.keys)
     keys[key] = all ? "0" : text(std::max(static_cast<int>(lights), environments.own));
   return keys;
@@ -140,7 +141,7 @@ double exactSeconds(const Scene& scene, const SceneProbe& probe, const SceneKeys
   const Environments environments = environmentsOf(scene);
   double seconds = probe.seconds * numberOf(exact, kSamples);
   if (!environments.keys.empty()) {
-    const auto taken = [&](double samples) { return samples == 0 ? environments.texels : samples; };
+    const auto taken = [&](double samples) { return samples == 0 ? environments.most : samples; };
     seconds *= std::max(1.0, taken(numberOf(exact, environments.keys[0])) / taken(environments.own));
   }
   return seconds;

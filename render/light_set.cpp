@@ -192,6 +192,11 @@ void orderOnSphere(std::span<DistantLight> lights) {
 
 }  // namespace
 
+std::size_t mostEnvironmentLights(int width, int height) {
+  return static_cast<std::size_t>(width) * dividedInto(width, kLeastWidth) * height *
+         dividedInto(height, kLeastWidth / 2);
+}
+
 EnvironmentSamples sampleEnvironment(const ImageF& image, int samples) {
   EnvironmentSamples result;
   const int across = dividedInto(image.width(), kLeastWidth), down = dividedInto(image.height(), kLeastWidth / 2);

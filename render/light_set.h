@@ -43,6 +43,8 @@ struct EnvironmentSamples {
   std::size_t unusable_texels = 0;  ///< with a negative, NaN or infinite value: such values count as 0
 };
 EnvironmentSamples sampleEnvironment(const ImageF& map, int samples);
+/// The most lights that a map of so many texels gives, which `samples` 0 takes where none is black.
+std::size_t mostEnvironmentLights(int width, int height);
 
 /// Reads the scene's maps once and makes the lights of each frame. The scene must outlive it.
 class LightSet {

@@ -1016,7 +1016,8 @@ TEST(Study, MeasuresResumesAndKeepsItsPromiseOnFramesLeftOut) {
     all.insert(all.end(), more.begin(), more.end());
     return run(all);
   };
-  ASSERT_EQ(render({"--target-error", "0", "-o", folder / "exact.####.exr"}).code, 0);
+  const Outcome exact = render({"--target-error", "0", "-o", folder / "exact.####.exr"});
+  ASSERT_EQ(exact.code, 0) << exact.err;
   ASSERT_EQ(render({"--target-error", "0.03", "-o", folder / "fast.####.exr"}).code, 0);
   double most = 0;
   for (int frame = 0; frame <= 8; ++frame) {

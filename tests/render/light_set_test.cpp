@@ -175,6 +175,8 @@ TEST(EnvironmentLights, OfACoarseMapAreConstantOverItsTexels) {
       EXPECT_NEAR(irradiance(even), 2 * kPi, 0.02 * kPi);
       EXPECT_NEAR(irradiance(coarse), irradiance(fine), 0.01 * irradiance(fine));
     }
+  EXPECT_EQ(sampleEnvironment(even, 0).lights.size(), mostEnvironmentLights(1, 1));
+  EXPECT_EQ(sampleEnvironment(fine, 0).lights.size(), mostEnvironmentLights(512, 256) / 16);
   coarse.at(0, 0, 0) = -1;
   EXPECT_EQ(sampleEnvironment(coarse, 0).unusable_texels, 1u);
 }
