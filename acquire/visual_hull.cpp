@@ -230,6 +230,13 @@ std::vector<const SilhouetteView*> sources(const HullViews& views) {
   return out;
 }
 
+// How each view agrees with the coarse hull in a tight box; empty where nothing is left.
+std::vector<ViewConsistency> coarseAgreement(const HullViews& views, int tolerance, const Box3& box) {
+  if (box.empty()) return {};
+  const auto mesh = carve(views, tolerance, box, longestSide(box) / kCoarseCells, Reporter::silent());
+  return compare(mesh, sources(views), kCoarseCells);
+}
+
 // A trial hull that a few wrong views could not carve, and how each view agrees with it.
 struct Trial {
   int tolerance = 0;
@@ -243,9 +250,8 @@ Trial tryTolerantHull(const HullViews& views, int tolerance, const std::optional
   for (int m = std::min(std::max(2, tolerance), most);; m = std::min(2 * m, most)) {
     trial = {m, {}, {}};
     trial.box = tightBounds(views, m, bounds, &trial.open);
-    if (!trial.box.empty()) {
-      const auto mesh = carve(views, m, trial.box, longestSide(trial.box) / kCoarseCells, Reporter::silent());
-      trial.agreement = compare(mesh, sources(views), kCoarseCells);
+    trial.agreement = coarseAgreement(views, m, trial.box);
+    if (!trial.agreement.empty()) {
       std::vector<double> covered;
       for (const auto& a : trial.agreement) covered.push_back(a.covered);
       if (median(covered) >= kCoveredByOthers) return trial;
@@ -272,13 +278,9 @@ std::vector<bool> outliers(const std::vector<ViewConsistency>& agreement) {
 // Whether the hull of all views fills every silhouette: then none contradicts the others, whatever bulges a trial hull
 // of few views has where some of them are overruled.
 bool allAgree(const HullViews& views, const std::optional<Box3>& bounds) {
-  const Box3 box = tightBounds(views, 0, bounds);
-  if (box.empty()) return false;
-  const auto mesh = carve(views, 0, box, longestSide(box) / kCoarseCells, Reporter::silent());
-  if (mesh.triangles.empty()) return false;
-  const auto agreement = compare(mesh, sources(views), kCoarseCells);
-  return std::all_of(agreement.begin(), agreement.end(),
-                     [](const ViewConsistency& a) { return a.covered >= kCoveredByOthers; });
+  const auto agreement = coarseAgreement(views, 0, tightBounds(views, 0, bounds));
+  return !agreement.empty() && std::all_of(agreement.begin(), agreement.end(),
+                                           [](const ViewConsistency& a) { return a.covered >= kCoveredByOthers; });
 }
 
 // Says that the hull has no end, and whose pictures cut the object.

@@ -180,7 +180,7 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
 }
 
 std::size_t GuidedLighting::hitsAtOnce() const {
-  constexpr std::size_t kAnswers = std::size_t{3} << 16;
+  constexpr std::size_t kAnswers = std::size_t{3} << 16;  // lights of all hits together, 12 bytes each
   return std::max<std::size_t>(kVectorLanes, kAnswers / std::max<std::size_t>(row(), 1));
 }
 
@@ -211,13 +211,11 @@ void GuidedLighting::evaluate(std::span<const GuidedQuery> queries, GuidedBlock&
       for (int c = 0; c < 3; ++c) block.near_direction[c][near + k] = l[c], block.near_irradiance[c][near + k] = e[c];
     }
     if (!(hit.gate > 0)) continue;
-    const std::array<float*, 3> answer = channels<float>(block.answer, h * row());
-    block.model_values +=
-        modelAnswers(hit.model, hit.model_view, lanesOf(direction_), channels(irradiance_), distant_lanes_, answer);
-    block.model_values +=
-        modelAnswers(hit.model, hit.model_view, lanesOf(block.near_direction, near),
-                     channels(std::as_const(block.near_irradiance), near), near_lanes_,
-                     {answer[0] + distant_lanes_, answer[1] + distant_lanes_, answer[2] + distant_lanes_});
+    block.model_values += modelAnswers(hit.model, hit.model_view, lanesOf(direction_), channels(irradiance_),
+                                       distant_lanes_, channels<float>(block.answer, h * row()));
+    block.model_values += modelAnswers(hit.model, hit.model_view, lanesOf(block.near_direction, near),
+                                       channels(std::as_const(block.near_irradiance), near), near_lanes_,
+                                       channels<float>(block.answer, h * row() + distant_lanes_));
   }
 }
 
@@ -435,24 +433,6 @@ float GuidedLighting::spread(GuidedBlock& block, const GuidedBlock::Hit& hit, co
   return gate * shown;
 }
 
-void GuidedLighting::findCorners(GuidedBlock& block) const {
-  block.corners.resize(block.hits.size());
-  if (lighting_.options().only_orientation) {
-    std::fill(block.corners.begin(), block.corners.end(), lighting_.sharedCorners({}));
-    return;
-  }
-  const std::size_t lanes = paddedLanes(block.hits.size());
-  block.orientations.assign(9 * lanes, 0);
-  OrientationLanes of{};
-  for (int k = 0; k < 9; ++k) {
-    float* const m = block.orientations.data() + k * lanes;
-    for (std::size_t h = 0; h < block.hits.size(); ++h)
-      m[h] = static_cast<float>(block.hits[h].query.look_up->acquisition_from_object.raw().row[k / 3][k % 3]);
-    of.m[k] = m;
-  }
-  lighting_.sharedCorners(of, block.corners);
-}
-
 const SharedStandIns::Corner& GuidedLighting::corner(GuidedBlock& block, int slot, const SharedKey& key) const {
   // Neighbouring hits mostly want the same ones.
   for (int i = 0; i < 4; ++i) {
@@ -471,7 +451,12 @@ ResidualShares GuidedLighting::spreadShared(GuidedBlock& block, std::size_t inde
   const std::size_t pad = lightPad(list.count());
   const bool off = options_.shadows == Shadows::off;
 
-  if (block.corners.empty()) findCorners(block);
+  if (block.corners.empty()) {
+    block.corners.resize(block.hits.size());
+    lighting_.sharedCorners(
+        [&](std::size_t h) -> const auto& { return block.hits[h].query.look_up->acquisition_from_object; },
+        block.corners);
+  }
   const OrientationGrid::Blend& blend = block.corners[index];
   std::array<const float*, 4> vectors{};
   const SharedStandIns::Corner* nearest = nullptr;  // of the corner that counts most

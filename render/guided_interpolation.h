@@ -92,9 +92,9 @@ struct GuidedBlock {
   };
   std::vector<Single> singles;
   std::array<std::vector<float>, 3> photograph, model;  ///< their sums, where there are many
-  std::vector<float> reach;                             ///< of lights of the frame: how much of each counts
+  std::vector<float> reach;                             ///< of distant lights: how much of each counts
   std::vector<float> shown, energy;                     ///< CapturedShadow, and of distantSums
-  std::vector<float> shared, keys, orientations;
+  std::vector<float> shared, keys;
   std::vector<std::uint32_t> positions;
   std::vector<ModelView> model_views;
   std::array<SharedKey, 4> last_key;  ///< the corners that the hit before asked for
@@ -161,7 +161,6 @@ class GuidedLighting {
   };
   std::size_t row() const { return distant_lanes_ + near_lanes_; }
   void blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const;
-  void findCorners(GuidedBlock& block) const;
   /// Fills what the captured lights of a list say of a hit, and returns where they stand.
   CapturedLanes readCaptured(std::uint32_t list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
   void share(const VisibilityBits& bits, std::uint32_t list, const SurfaceHit& hit, std::vector<float>& shares) const;

@@ -116,18 +116,29 @@ OrientationGrid::Blend FrameLighting::sharedCorners(
   return grid_->blend(acquisition_from_object);
 }
 
-void FrameLighting::sharedCorners(const OrientationLanes& orientations,
+void FrameLighting::sharedCorners(const std::function<const Orthogonal<AcquisitionSpace, ObjectSpace>&(std::size_t)>& l,
                                   std::span<OrientationGrid::Blend> blends) const {
+  if (options_.only_orientation) {
+    std::fill(blends.begin(), blends.end(), OrientationGrid::Blend{{kOnlyOrientation}, {1}});
+    return;
+  }
   struct Memory {
     std::vector<std::int32_t> cell;
-    std::vector<float> fraction;
+    std::vector<float> fraction, matrix;
   };
   thread_local Memory memory;
   const std::size_t stride = paddedLanes(blends.size());
   memory.cell.resize(4 * stride);
   memory.fraction.resize(3 * stride);
+  memory.matrix.resize(9 * stride);
   std::int32_t* const cell = memory.cell.data();
-  float* const fraction = memory.fraction.data();
+  float *const fraction = memory.fraction.data(), *const matrix = memory.matrix.data();
+  for (std::size_t i = 0; i < blends.size(); ++i) {
+    const Mat3& m = l(i).raw();
+    for (int k = 0; k < 9; ++k) matrix[k * stride + i] = static_cast<float>(m.row[k / 3][k % 3]);
+  }
+  OrientationLanes orientations{};
+  for (int k = 0; k < 9; ++k) orientations.m[k] = matrix + k * stride;
   const OrientationCells where{cell,
                                {cell + stride, cell + 2 * stride, cell + 3 * stride},
                                {fraction, fraction + stride, fraction + 2 * stride}};
@@ -234,7 +245,7 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
   };
   thread_local Memory memory;
   memory.lit.resize(12 * stride);
-  memory.lanes.resize(9 * stride);
+  memory.lanes.resize(3 * stride);
   memory.falloff.resize(stride);
   memory.cell.resize(stride);
   float* const lane = memory.lanes.data();
@@ -250,16 +261,10 @@ void FrameLighting::gatherMany(std::uint32_t list_index, std::span<const LitPoin
   for (int k = 0; k < 3; ++k) lit.p_star[k] = memory.lit.data() + k * stride;
   for (int k = 0; k < 9; ++k) lit.l[k] = memory.lit.data() + (3 + k) * stride;
 
-  memory.blends.assign(count, {{kOnlyOrientation}, {1}});
-  if (sharesOnGrid(list_index)) {
-    OrientationLanes in{};
-    for (int k = 0; k < 9; ++k) {
-      float* const m = lane + k * stride;
-      for (std::size_t i = 0; i < count; ++i) m[i] = static_cast<float>(lit.l[k][i]);
-      in.m[k] = m;
-    }
-    sharedCorners(in, memory.blends);
-  }
+  memory.blends.resize(count);
+  if (shares(list_index))
+    sharedCorners(
+        [&](std::size_t i) -> const auto& { return points[wanted[i].point].acquisition_from_object; }, memory.blends);
   const std::size_t first = out.weights.size();
   out.weights.resize(first + count);
   std::array<std::uint32_t, 4> ids{};

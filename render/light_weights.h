@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -102,10 +103,9 @@ class FrameLighting {
   bool shares(std::uint32_t list) const;
   /// The corners of orientation whose shared vectors, blended, hold for an L. Where shares() is true.
   OrientationGrid::Blend sharedCorners(const Orthogonal<AcquisitionSpace, ObjectSpace>& acquisition_from_object) const;
-  /// The same of many, whose shares are off by at most 4e-7 of the grid's half cells. Where hits share on a grid.
-  void sharedCorners(const OrientationLanes& orientations, std::span<OrientationGrid::Blend> blends) const;
-  /// Whether they share on a grid of orientations.
-  bool sharesOnGrid(std::uint32_t list) const { return shares(list) && !options_.only_orientation; }
+  /// The same of many at once, of L number i, whose shares are off by at most 4e-7 of the grid's half cells.
+  void sharedCorners(const std::function<const Orthogonal<AcquisitionSpace, ObjectSpace>&(std::size_t)>& l,
+                     std::span<OrientationGrid::Blend> blends) const;
   /// Computes a shared vector: 3 * pad floats, exact for the corner's orientation. `nearest`: where not null, of each
   /// distant light the captured one that counts most.
   void computeShared(const SharedKey& key, float* vector, std::uint32_t* nearest = nullptr) const;
