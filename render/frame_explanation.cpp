@@ -26,27 +26,44 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
   State& s = *state_;
   SRF_CHECK(x >= 0 && y >= 0 && x < camera.lens.width && y < camera.lens.height);
   const FramePlan plan(s, camera, deformed, lights, effects);
+  const auto pixel = static_cast<std::uint32_t>(y * camera.lens.width + x);
   PixelRays rays;
-  rays.add(camera, plan.lens, plan.pattern, x, y);
+  RaysMet met;
   PixelBlock block;
+  ExplainedPixel asked;
+  const auto gather = [&] {
+    asked = {pixel, {}, {}};
+    block.clear();
+    deformed.trace(rays.rays, met);
+    s.gather(plan, rays, met, block, nullptr, &asked);
+  };
+  // As the frame does, with its neighbours: hits side by side share shadow rays.
+  raysOfPiece(camera, plan.lens, plan.pattern, plan.cover, pieceOfPixel(camera, plan.pattern.size(), x, y), rays);
+  gather();
+  if (asked.hits.empty() && plan.shading != Shading::every) {  // it takes the mean of its neighbours: as if shaded
+    rays = {};
+    rays.add(camera, plan.lens, plan.pattern, x, y);
+    gather();
+  }
   PixelExplanation result;
   result.samples = static_cast<int>(plan.pattern.size());
-  RaysMet met;
-  deformed.trace(rays.rays, met);
-  s.gather(plan, rays, met, block, nullptr, &result.hits);
+  result.hits = std::move(asked.hits);
+  std::vector<int> hit_of(block.shading.targets, -1);
+  for (std::size_t i = 0; i < asked.target.size(); ++i) hit_of[asked.target[i]] = static_cast<int>(i);
   s.shared.want(block.shading.lights, plan.lighting);
   s.shared.compute(plan.lighting);
   s.shading->execute({&block.shading, 1}, s.settings.order);
   const auto colors = hitColors(block.shading, block.guided);
   std::array<double, 4> sum{};
-  for (std::size_t t = 0; t < colors.size(); ++t) {
-    if (!block.guided.empty()) result.hits[t].guided = block.guided[t];
-    result.hits[t].color = colors[t];
+  for (std::size_t i = 0; i < result.hits.size(); ++i) {
+    const std::size_t t = asked.target[i];
+    if (!block.guided.empty()) result.hits[i].guided = block.guided[t];
+    result.hits[i].color = colors[t];
     for (int c = 0; c < 3; ++c) sum[c] += colors[t][c];
     sum[3] += block.alpha.empty() ? 1 : block.alpha[t];
   }
   for (const GroundSample& sample : block.ground)
-    for (int c = 0; c < 4; ++c) sum[c] += sample.rgba[c];
+    for (int c = 0; c < 4; ++c) sum[c] += sample.pixel == pixel ? sample.rgba[c] : 0;
   std::size_t not_finite = 0;
   for (int c = 0; c < 4; ++c) result.rgba[c] = pixelValue(sum[c], plan.pattern.size(), not_finite);
 
@@ -54,7 +71,8 @@ PixelExplanation FrameRenderer::explain(const Camera<ObjectSpace>& camera, const
   TexelProducts products;
   for (std::size_t i = 0; i < block.shading.operations.size(); ++i) {
     const ShadingOperation& operation = block.shading.operations[i];
-    ExplainedHit& hit = result.hits[operation.target];
+    if (hit_of[operation.target] < 0) continue;
+    ExplainedHit& hit = result.hits[hit_of[operation.target]];
     hit.operations.push_back(operation);
     hit.results.push_back(block.shading.results[i]);
     const StoreGeometry& geometry = s.selection->views()[operation.view].geometry;

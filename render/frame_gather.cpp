@@ -80,7 +80,7 @@ void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model,
 }  // namespace
 
 void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, RaysMet& rays_met, PixelBlock& out,
-                                  Layers* layers, std::vector<ExplainedHit>* explained) const {
+                                  Layers* layers, ExplainedPixel* explained) const {
   const Camera<ObjectSpace>& camera = plan.camera;
   const DeformedModel& deformed = plan.deformed;
   const GuidedLighting* guided = plan.guided ? &*plan.guided : nullptr;
@@ -95,7 +95,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
     clock = now;
   };
   // Without a ground, which wants to know of every ray, triangles that are not shaded need not be blended.
-  const bool sparse = plan.shading != Shading::every && !layers && !explained;
+  const bool sparse = plan.shading != Shading::every && !layers;
   const bool before_blend = sparse && !plan.ground && deformed.model().kind == ModelKind::mesh;
   thread_local SparseRays fewer;  // large, and all of it is written
   if (before_blend) {
@@ -209,17 +209,18 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
                     {hit, look_ups[m], queries[m].view, chosen.of(m), hit_support ? &*hit_support : nullptr,
                      deformed.model().kind == ModelKind::surfels ? hit.count : 1});
     }
-    if (explained) {
+    if (explained && pixels[met[m]] == explained->pixel) {
       const auto views = chosen.of(m);
-      explained->push_back({rays[met[m]],
-                            hit,
-                            look_ups[m],
-                            queries[m].view,
-                            chosen.result[m],
-                            {views.begin(), views.end()},
-                            {},
-                            {},
-                            {}});
+      explained->target.push_back(static_cast<std::uint32_t>(m));
+      explained->hits.push_back({rays[met[m]],
+                                 hit,
+                                 look_ups[m],
+                                 queries[m].view,
+                                 chosen.result[m],
+                                 {views.begin(), views.end()},
+                                 {},
+                                 {},
+                                 {}});
     }
   }
   out.shading.targets = static_cast<std::uint32_t>(out.pixel.size());
@@ -250,6 +251,13 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
   } else {
     out.guided.resize(met.size());
     thread_local std::vector<GuidedQuery> guided_queries;
+    // Of about four hits.
+    const int spacing = !sparse ? 1 : plan.shading == Shading::sparse ? 2 : 4;
+    const auto cell_side = static_cast<std::uint32_t>(plan.pattern.size() < 4 ? 2 * spacing : 1);
+    const auto cellOf = [&](std::uint32_t pixel) -> ShadowCell {
+      const std::uint32_t y = pixel / width, x = pixel - y * width;
+      return {static_cast<std::int32_t>(x / cell_side), static_cast<std::int32_t>(y / cell_side)};
+    };
     std::size_t own = 0;  // room for all at once
     for (const auto& [m, list] : wanted) own += 3 * static_cast<std::size_t>(lightPad(lists[list].count()));
     out.shading.lights.own.reserve(own);
@@ -258,7 +266,7 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
       const std::size_t end = std::min(met.size(), first + guided->hitsAtOnce());
       guided_queries.clear();
       for (std::size_t m = first; m < end; ++m)
-        guided_queries.push_back({&hits[met[m]], &look_ups[m], queries[m].view, chosen.of(m)});
+        guided_queries.push_back({&hits[met[m]], &look_ups[m], queries[m].view, chosen.of(m), cellOf(pixels[met[m]])});
       guided->evaluate(guided_queries, guided_block);
       lap(kModelValues);
       guided->castShadows(guided_block);

@@ -59,6 +59,13 @@ std::vector<std::array<double, 3>> hitColors(const ShadingBatch& shading,
 /// is ever written; `not_finite` counts those.
 float pixelValue(double sum, std::size_t samples, std::size_t& not_finite);
 
+/// The hits of one pixel among those of its block.
+struct ExplainedPixel {
+  std::uint32_t pixel;
+  std::vector<ExplainedHit> hits;
+  std::vector<std::uint32_t> target;  ///< of each
+};
+
 struct FrameRenderer::State {
   State(const std::filesystem::path& srf_folder, const SrfManifest& manifest, const DeformableModel& model,
         const FrameSettings& frame_settings, Reporter& frame_reporter);
@@ -66,7 +73,7 @@ struct FrameRenderer::State {
   /// From what rays met (which it changes) to operations. `layers` and `explained` may be null: then neither costs
   /// anything.
   void gather(const FramePlan& plan, const PixelRays& in, RaysMet& rays_met, PixelBlock& out, Layers* layers,
-              std::vector<ExplainedHit>* explained) const;
+              ExplainedPixel* explained) const;
   void addOperations(std::uint32_t target, const PickedView& picked, std::uint32_t lights,
                      std::vector<ShadingOperation>& out) const;
   /// Fills in the lights of a hit that has views.

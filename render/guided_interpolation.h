@@ -24,6 +24,7 @@
 #include "render/light_weights.h"
 #include "render/look_up.h"
 #include "render/scene.h"
+#include "render/shadow_sharing.h"
 #include "render/shared_stand_ins.h"
 #include "render/view_selection.h"
 
@@ -41,6 +42,7 @@ struct GuidedQuery {
   const LookUp* look_up = nullptr;
   Direction<AcquisitionSpace> view;    ///< v
   std::span<const ChosenView> chosen;  ///< weights sum 1
+  ShadowCell cell;                     ///< hits of a cell follow one another
 };
 
 /// The hits of one block of pixels on their way, and memory for it. Arrays hold whole kernel widths (paddedLanes).
@@ -55,7 +57,7 @@ struct GuidedBlock {
   std::vector<Hit> hits;
   /// Of each hit, where hits share weights: FrameLighting::sharedCorners.
   std::vector<OrientationGrid::Blend> corners;
-  std::vector<std::int8_t> sight;  ///< LightSight of each hit and light of the frame (distant, then near)
+  std::vector<std::int8_t> sight;  ///< LightSight of each hit and light of the frame (distant, then near); of `groups`
   /// Of each near light and list the captured lights nearest to it as the hits see it (FrameLighting::Options::sharing
   /// allowing): weight and position of number j at [(light * k + j) * lanes + hit].
   struct Nearest {
@@ -95,7 +97,6 @@ struct GuidedBlock {
   std::vector<float> reach;                             ///< of distant lights: how much of each counts
   std::vector<float> shown, energy;                     ///< CapturedShadow, and of distantSums
   std::vector<float> shared, keys;
-  std::vector<std::uint32_t> positions;
   std::vector<ModelView> model_views;
   std::array<SharedKey, 4> last_key;  ///< the corners that the hit before asked for
   std::array<const SharedStandIns::Corner*, 4> last_corner{};
@@ -110,8 +111,13 @@ struct GuidedBlock {
   std::array<std::vector<float>, 3> used_direction, used_amount;
   std::size_t used = 0;
   // Memory of the shadow rays.
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> rays_wanted;  ///< (light, hit)
+  struct ShadowRay {
+    std::uint32_t light, hit, told;  ///< told: row of `sight`
+  };
+  std::vector<ShadowRay> rays_wanted;
   std::vector<std::uint32_t> ray_order, first_ray;
+  SharedShadowRays asked;
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> groups;  ///< first hit and end of those that tell each other
   struct Rays {
     std::vector<Ray<ObjectSpace>> ray;
     std::vector<double> far_distance;
@@ -124,7 +130,9 @@ class GuidedLighting {
  public:
   struct Options {
     Shadows shadows = Shadows::captured;
-    int shadow_rays = 32;      ///< most a hit for distant lights; of the others the captured lights' bits tell
+    /// For distant lights, of a hit in the mean of those side by side with it, which share what these find
+    /// (shadow_sharing.h); of lights that none of them asks after the captured lights' bits tell.
+    int shadow_rays = 32;
     double min_distance = 0;   ///< units: least distance of a point light in A(d)
     bool model_alone = false;  ///< no residual: what the model would show without the photographs
   };
@@ -161,6 +169,10 @@ class GuidedLighting {
   };
   std::size_t row() const { return distant_lanes_ + near_lanes_; }
   void blend(const GuidedQuery& query, GuidedBlock::Hit& hit) const;
+  /// Finds block.groups, and adds to block.rays_wanted those to distant lights.
+  void askTogether(GuidedBlock& block) const;
+  /// Fills `sight` where a hit did not ask.
+  void tellEachOther(GuidedBlock& block) const;
   /// Fills what the captured lights of a list say of a hit, and returns where they stand.
   CapturedLanes readCaptured(std::uint32_t list, GuidedBlock& block, const GuidedBlock::Hit& hit) const;
   void share(const VisibilityBits& bits, std::uint32_t list, const SurfaceHit& hit, std::vector<float>& shares) const;

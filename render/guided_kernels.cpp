@@ -180,7 +180,7 @@ void keys(const std::array<const float*, 3>& answer, std::size_t count, float* k
   for (std::size_t i = 0; i < count; i += kLanes) {
     const V sum =
         hn::Add(hn::Add(hn::LoadU(f, answer[0] + i), hn::LoadU(f, answer[1] + i)), hn::LoadU(f, answer[2] + i));
-    hn::StoreU(hn::Max(sum, hn::Zero(f)), f, key + i);
+    hn::StoreU(hn::Add(hn::LoadU(f, key + i), hn::Max(sum, hn::Zero(f))), f, key + i);
   }
 }
 
@@ -517,7 +517,7 @@ std::size_t modelAnswers(const ModelOfPoint& model, const ModelView& view, const
                          const std::array<float*, 3>& answer) {
   return HWY_DYNAMIC_DISPATCH(answers)(model, view, lights, irradiance, count, answer);
 }
-void brightness(const std::array<const float*, 3>& answer, std::size_t count, float* key) {
+void addBrightness(const std::array<const float*, 3>& answer, std::size_t count, float* key) {
   HWY_DYNAMIC_DISPATCH(keys)(answer, count, key);
 }
 std::array<float, 3> shownSums(const std::array<const float*, 3>& answer, const float* shown, std::size_t count) {

@@ -56,8 +56,8 @@ void blendVectors(const std::array<const float*, 4>& vector, const std::array<fl
 std::size_t modelAnswers(const ModelOfPoint& model, const ModelView& view, const DirectionLanes& lights,
                          const std::array<const float*, 3>& irradiance, std::size_t count,
                          const std::array<float*, 3>& answer);
-/// key[i] = the sum of the channels of answer i, or 0 where that is below.
-void brightness(const std::array<const float*, 3>& answer, std::size_t count, float* key);
+/// Adds to key[i] the sum of the channels of answer i, where that is above 0.
+void addBrightness(const std::array<const float*, 3>& answer, std::size_t count, float* key);
 /// sum over lights i of shown[i] answer[c][i], for each channel c.
 std::array<float, 3> shownSums(const std::array<const float*, 3>& answer, const float* shown, std::size_t count);
 /// The positions of the `most` largest keys above 0, or of all there are, rising; of equal ones the first. Returns how

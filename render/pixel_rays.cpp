@@ -36,16 +36,18 @@ void PixelRays::add(const Camera<ObjectSpace>& camera, const std::optional<ThinL
 
 namespace {
 
-// A packet of rays traces the faster the closer they lie: 4 x 4 pixels one after the other.
+// Pixels along a Z curve: those of a square of 2, 4 or 8 pixels follow one another. A packet of rays traces the faster
+// the closer they lie: 4 x 4 pixels.
 constexpr int kPacketSide = 4, kPacketPixels = kPacketSide * kPacketSide;
 static_assert(kPixelBlock % kPacketSide == 0 && ScreenCover::kCell % kPacketSide == 0);
 
 struct PixelInBlock {
   int x, y;
 };
-PixelInBlock pixelInBlock(int i) {
-  const int packet = i / kPacketPixels, within = i % kPacketPixels, across = kPixelBlock / kPacketSide;
-  return {packet % across * kPacketSide + within % kPacketSide, packet / across * kPacketSide + within / kPacketSide};
+constexpr PixelInBlock pixelInBlock(int i) {
+  static_assert(kPixelBlock == 16);
+  const auto everySecondBit = [](int of) { return (of & 1) | (of >> 1 & 2) | (of >> 2 & 4) | (of >> 3 & 8); };
+  return {everySecondBit(i), everySecondBit(i >> 1)};
 }
 
 /// Where the ray through a place of a pinhole's picture, as Camera::ray has it, meets the plane at distance 1: to the
@@ -101,6 +103,15 @@ int pixelPieces(const Camera<ObjectSpace>& camera, std::size_t samples) {
   return blocksAlong(camera.lens.width) * blocksAlong(camera.lens.height) * piecesOfBlock(samples);
 }
 
+int pieceOfPixel(const Camera<ObjectSpace>& camera, std::size_t samples, int x, int y) {
+  const int block = y / kPixelBlock * blocksAlong(camera.lens.width) + x / kPixelBlock;
+  int place = 0;
+  for (PixelInBlock at = pixelInBlock(place); at.x != x % kPixelBlock || at.y != y % kPixelBlock;
+       at = pixelInBlock(place))
+    ++place;
+  return block * piecesOfBlock(samples) + place / piecePixels(samples);
+}
+
 void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens, std::span<const Vec2> pattern,
                  const ScreenCover& cover, int piece, PixelRays& result) {
   const int pieces = piecesOfBlock(pattern.size()), pixels = piecePixels(pattern.size());
@@ -135,12 +146,11 @@ void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens
     if (by_row && inside && stop - i == kPacketPixels) {
       double *const to_right = right + (count - cast), *const to_down = down + (count - cast);
       std::uint32_t* const pixel = result.pixel.data() + count;
-      for (int y = 0; y < kPacketSide; ++y)
-        for (int x = 0; x < kPacketSide; ++x) {
-          const int k = y * kPacketSide + x;
-          to_right[k] = right_of[corner.x + x], to_down[k] = down_of[corner.y + y];
-          pixel[k] = static_cast<std::uint32_t>((top + y) * camera.lens.width + left + x);
-        }
+      for (int k = 0; k < kPacketPixels; ++k) {
+        const auto [x, y] = pixelInBlock(k);
+        to_right[k] = right_of[corner.x + x], to_down[k] = down_of[corner.y + y];
+        pixel[k] = static_cast<std::uint32_t>((top + y) * camera.lens.width + left + x);
+      }
       count += kPacketPixels;
       if (count - cast == kAtOnce) castThem();
       continue;

@@ -42,6 +42,8 @@ struct PixelRays {
 int piecePixels(std::size_t samples);
 /// Pieces of a picture: those of a block one after the other, blocks row by row.
 int pixelPieces(const Camera<ObjectSpace>& camera, std::size_t samples);
+/// The piece that a pixel lies in.
+int pieceOfPixel(const Camera<ObjectSpace>& camera, std::size_t samples, int x, int y);
 /// Those of one piece in place of what `result` held. Pixels that the cover leaves out get no rays.
 void raysOfPiece(const Camera<ObjectSpace>& camera, const std::optional<ThinLens>& lens, std::span<const Vec2> pattern,
                  const ScreenCover& cover, int piece, PixelRays& result);

@@ -174,7 +174,7 @@ TEST(GuidedKernels, AnswersAreTheModelsLightByLightAndSumAsTheyAreShown) {
     const std::size_t facing = modelAnswers(model, view, lights.lanes(), constant(lights.amount), lanes,
                                             {answer[0].data(), answer[1].data(), answer[2].data()});
     std::vector<float> key(lanes), shown(lanes);
-    brightness(constant(answer), lanes, key.data());
+    addBrightness(constant(answer), lanes, key.data());
     std::array<double, 3> all{};
     for (std::size_t i = 0; i < lanes; ++i) {
       std::array<std::vector<float>, 3> alone;

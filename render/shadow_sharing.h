@@ -1,0 +1,52 @@
+// Which hit sends a shadow ray to which light, where hits that lie side by side tell each other what their rays found.
+// Of many lights most are weak, and neighbours see them alike. Hits of a cell of the picture, a pixel or a few, form a
+// group: its brightest lights each hit asks after for itself; of the others the groups of 2 x 2 cells ask after a
+// quarter each, light by light one of the group's hits. A group takes what it did not ask after from the cells beside
+// it, each light from another distance, so that no edges of cells show.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+namespace srf {
+
+inline constexpr std::size_t kMostSharers = 16;  ///< hits of a group
+
+/// A cell of the picture, by its place.
+struct ShadowCell {
+  std::int32_t x = 0, y = 0;
+  bool operator==(const ShadowCell&) const = default;
+  /// The lights that it asks after are those whose number is this modulo 4.
+  unsigned quarter() const { return (static_cast<unsigned>(x) & 1u) + 2 * (static_cast<unsigned>(y) & 1u); }
+  /// The cells about it that ask after other quarters.
+  std::array<ShadowCell, 8> about() const {
+    return {{{x + 1, y},
+             {x, y + 1},
+             {x + 1, y + 1},
+             {x - 1, y},
+             {x, y - 1},
+             {x - 1, y + 1},
+             {x + 1, y - 1},
+             {x - 1, y - 1}}};
+  }
+};
+
+/// The lights that a group asks after, and memory of choosing them. Positions rise.
+struct SharedShadowRays {
+  std::vector<std::uint32_t> each;  ///< every hit for itself
+  std::vector<std::uint32_t> once;  ///< one hit for all
+  std::vector<std::uint32_t> brightest;
+  std::vector<float> of_quarter;
+  std::int32_t least_of_each = 0, least_of_quarter = 0;  ///< largestKeys' `about`, from one group to the next
+
+  /// Chooses for a group of `sharers` hits with `most` rays each in the mean. `keys`: of each light, what it gives the
+  /// hits together; padded as largestKeys asks. A quarter of the rays, rounded up, goes to lights that each hit asks
+  /// after, and what those of the group's quarter leave. A hit alone, or hits under at most `most` lights, ask after
+  /// each for themselves.
+  void choose(std::span<const float> keys, unsigned quarter, std::size_t sharers, std::size_t most);
+};
+
+}  // namespace srf

@@ -1,0 +1,162 @@
+#include "render/shadow_sharing.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <random>
+#include <set>
+
+#include "base/numeric.h"
+#include "model/deformation.h"
+#include "render/frame_renderer.h"
+#include "render/light_set.h"
+#include "tests/support/glossy_sphere.h"
+#include "tests/support/test_support.h"
+
+namespace srf {
+namespace {
+
+TEST(SharedShadowRays, GoToTheBrightestAndToAQuarterOfTheOthersAndAreNotMore) {
+  std::mt19937 random(3);
+  SharedShadowRays rays;
+  for (int trial = 0; trial < 500; ++trial) {
+    const std::size_t lights = 16 * (1 + random() % 20), sharers = 1 + random() % kMostSharers, most = random() % 40;
+    const unsigned quarter = random() % 4;
+    std::vector<float> keys(lights);
+    for (float& key : keys) key = std::max(0.f, std::uniform_real_distribution<float>(-0.5f, 1)(random));
+    const auto lit = static_cast<std::size_t>(std::count_if(keys.begin(), keys.end(), [](float k) { return k > 0; }));
+    rays.choose(keys, quarter, sharers, most);
+    ASSERT_LE(rays.each.size() * sharers + rays.once.size(), sharers * most);
+    ASSERT_GE(rays.each.size(), std::min(lit, (most + 3) / 4));
+    if (sharers == 1 || lit <= most) {
+      ASSERT_EQ(rays.each.size(), std::min(lit, most));
+      ASSERT_TRUE(rays.once.empty());
+    }
+    const std::set<std::uint32_t> each(rays.each.begin(), rays.each.end());
+    std::set<std::uint32_t> asked = each;
+    for (const std::uint32_t light : rays.once) {
+      ASSERT_EQ(light % 4, quarter);
+      ASSERT_TRUE(asked.insert(light).second);  // none twice
+    }
+    // No light that is left is brighter than one that is asked after for the same reason.
+    float least_of_each = 2, least_of_once = 2;
+    for (const std::uint32_t light : rays.each) least_of_each = std::min(least_of_each, keys[light]);
+    for (const std::uint32_t light : rays.once) least_of_once = std::min(least_of_once, keys[light]);
+    for (std::uint32_t k = 0; k < lights; ++k) {
+      ASSERT_TRUE(each.contains(k) || keys[k] <= least_of_each);
+      ASSERT_TRUE(asked.contains(k) || k % 4 != quarter || rays.once.empty() || keys[k] <= least_of_once);
+    }
+    for (const std::uint32_t light : asked) ASSERT_GT(keys[light], 0);
+  }
+}
+
+TEST(SharedShadowRays, CellsSideBySideAskAfterAllQuarters) {
+  for (int y = -2; y < 3; ++y)
+    for (int x = -2; x < 3; ++x) {
+      std::set<unsigned> quarters;
+      for (const auto& [i, j] : {std::pair{0, 0}, {1, 0}, {0, 1}, {1, 1}})
+        quarters.insert(ShadowCell{x + i, y + j}.quarter());
+      EXPECT_EQ(quarters.size(), 4u);
+      int of_own = 0;
+      for (const ShadowCell& cell : ShadowCell{x, y}.about()) of_own += cell.quarter() == ShadowCell{x, y}.quarter();
+      EXPECT_EQ(of_own, 0);
+    }
+}
+
+/// A sphere drawn out and bent to a horseshoe, whose arms shade each other, under a sky.
+class SharedShadowsTest : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = std::make_unique<test::TemporaryFolder>();
+    field_ = std::make_unique<test::FormulaField>(test::makeSphereField(folder_->path() / "f.srf", {}, test::glossy));
+    fit_ = std::make_unique<ReflectanceFit>(test::fitOf(*field_, 1));
+  }
+  static void TearDownTestSuite() { fit_.reset(), field_.reset(), folder_.reset(); }
+  static Camera<ObjectSpace> camera() {
+    Camera<ObjectSpace> camera;
+    camera.lens = pinholeFromFov(72, 72, 40);
+    camera.pose = *lookAt(Point<ObjectSpace>(0.5, -6, 3), Point<ObjectSpace>(0, 0, 0.6), Vector<ObjectSpace>(0, 0, 1));
+    return camera;
+  }
+  static void bend(DeformedModel& model) {
+    const char* text = R"([{"type":"affine","matrix":[[2.6,0,0,0],[0,0.6,0,0],[0,0,0.6,0],[0,0,0,1]]},
+                           {"type":"bend","axis":[1,0,0],"toward":[0,0,1],"degrees_per_unit":65}])";
+    model.deform(AnimatedDeformation::parse(parseJson(text, "test"), ".", Reporter::silent()).at(0));
+  }
+  static FrameLights sky() {
+    FrameLights lights;
+    for (int i = 0; i < 200; ++i) {
+      const Vec3 to = test::fibonacci(i, 200);
+      const double strength = 0.02 * (1.2 + to.z) * (i % 37 == 0 ? 8 : 1);
+      lights.distant.push_back({Direction<ObjectSpace>::fromUnit(to), {strength, strength, 1.2 * strength}});
+    }
+    return lights;
+  }
+  static FrameSettings settings(int rays, int samples) {
+    FrameSettings settings;
+    settings.fit = fit_.get();
+    settings.shadows = Shadows::deformed;
+    settings.samples = samples;
+    settings.accuracy.shadow_rays = rays;
+    return settings;
+  }
+  static ImageF picture(const FrameSettings& settings) {
+    DeformedModel deformed(field_->model);
+    bend(deformed);
+    FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings, Reporter::silent());
+    return renderer.render(camera(), deformed, sky()).rgba;
+  }
+  /// Root of the mean squared difference over the root of the mean square.
+  static double difference(const ImageF& image, const ImageF& reference) {
+    double error = 0, sum = 0;
+    for (std::size_t i = 0; i < image.data().size(); ++i) {
+      error += square(double{image.data()[i]} - reference.data()[i]);
+      sum += square(double{reference.data()[i]});
+    }
+    return std::sqrt(error / sum);
+  }
+
+  static std::unique_ptr<test::TemporaryFolder> folder_;
+  static std::unique_ptr<test::FormulaField> field_;
+  static std::unique_ptr<ReflectanceFit> fit_;
+};
+std::unique_ptr<test::TemporaryFolder> SharedShadowsTest::folder_;
+std::unique_ptr<test::FormulaField> SharedShadowsTest::field_;
+std::unique_ptr<ReflectanceFit> SharedShadowsTest::fit_;
+
+TEST_F(SharedShadowsTest, AFewRaysAHitShowWhatARayToEveryLightDoes) {
+  // Each for itself they leave three quarters of the error that none leaves.
+  const std::pair<int, double> most_left[] = {{1, 0.3}, {4, 0.2}};  // of one and of four samples a pixel
+  for (const auto& [samples, share] : most_left) {
+    const ImageF every = picture(settings(1000, samples));
+    const double none = difference(picture(settings(0, samples)), every);
+    EXPECT_GT(none, 0.03);
+    EXPECT_LT(difference(picture(settings(8, samples)), every), share * none) << samples;
+  }
+}
+
+TEST_F(SharedShadowsTest, AnExplainedPixelIsTheRenderedOneToTheBit) {
+  for (const int samples : {1, 4})
+    for (const Shading shading : {Shading::every, Shading::sparse}) {
+      FrameSettings with = settings(5, samples);
+      with.accuracy.shading = shading;
+      DeformedModel deformed(field_->model);
+      bend(deformed);
+      FrameRenderer renderer(field_->folder, field_->manifest, field_->model, with, Reporter::silent());
+      const Frame frame = renderer.render(camera(), deformed, sky());
+      int met = 0;
+      for (int y = 1; y < 72; y += 5)
+        for (int x = 2; x < 72; x += 6) {
+          const PixelExplanation why = renderer.explain(camera(), deformed, sky(), x, y);
+          met += !why.hits.empty();
+          // A pixel in between is explained as if it were shaded; these are.
+          const bool shaded =
+              shading == Shading::every || samples > 1 || (x % 2 == 0 && y % 2 == 0 && x % 16 < 13 && y % 16 < 13);
+          for (int c = 0; c < 4 && shaded; ++c) ASSERT_EQ(why.rgba[c], frame.rgba.at(x, y, c)) << x << " " << y;
+        }
+      EXPECT_GT(met, 30);
+    }
+}
+
+}  // namespace
+}  // namespace srf
