@@ -11,9 +11,6 @@
 namespace srf {
 namespace {
 
-// As guided interpolation has them.
-constexpr double kRayOffset = 5e-4;      // of the object's diameter
-constexpr double kShortOfLight = 0.999;  // of the distance to a point light, which may stand in the object itself
 // Where less than this share of the captured lights about one light the place, it fades to what they show as they are.
 constexpr double kFade = 0.25;
 

@@ -11,6 +11,11 @@
 
 namespace srf {
 
+/// Shadow rays start this far off the surface, of the object's diameter: above rounding and the facets of a mesh.
+inline constexpr double kRayOffset = 5e-4;
+/// Of the distance to a point light, which may stand in the object itself.
+inline constexpr double kShortOfLight = 0.999;
+
 class CastShadows {
  public:
   struct Options {

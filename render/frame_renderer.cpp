@@ -208,6 +208,15 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
   shading.emplace(std::move(geometry), *cache);
 }
 
+namespace {
+
+FrameLights inOrder(FrameLights lights, bool guided) {
+  if (guided) orderByDirection(lights.distant);
+  return lights;
+}
+
+}  // namespace
+
 FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& frame_camera,
                      const DeformedModel& deformed_model, const FrameLights& frame_lights, const FrameEffects& effects)
     : camera(frame_camera),
@@ -217,7 +226,8 @@ FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& fra
       shading(pattern.size() == 1 ? state.settings.accuracy.shading : Shading::every),
       support_step(supportStep(camera.lens.width, camera.lens.height)),
       cover(effects.lens || effects.ground ? ScreenCover() : ScreenCover(frame_camera, deformed_model)),
-      lighting(frame_lights, state.lists, lightingOptions(state, deformed_model, frame_lights)) {
+      lights(inOrder(frame_lights, state.settings.fit)),
+      lighting(lights, state.lists, lightingOptions(state, deformed_model, frame_lights)) {
   for (std::size_t v = 0; v < state.stores.size(); ++v)
     allowed.push_back(state.stores[v] && lighting.serves(state.list_of_view[v]));
   state.shared.prepare(lighting);

@@ -2,10 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "base/numeric.h"
+#include "render/cast_shadows.h"
+#include "render/guided_lanes.h"
 
 namespace srf {
 namespace {
@@ -16,22 +17,7 @@ constexpr float kCosine = 0.1f, kMostRatio = 2;
 constexpr float kFade = 0.25f;
 // Within the first of a captured light the photographs' own shadows show, beyond the second those of the rays.
 constexpr float kNear = static_cast<float>(radians(1)), kNotNear = static_cast<float>(radians(5));
-// Shadow rays start this far off the surface, of the object's diameter: above rounding and the facets of a mesh.
-constexpr double kRayOffset = 5e-4;
-constexpr double kShortOfLight = 0.999;  // of the distance to a point light, which may stand in the object itself
-constexpr std::size_t kRaysAtOnce = 1024;
-constexpr int kCellsAlong = 16;  // a power of 2: of a block of pixels, whose cells are whole pixels
-// Hits tell each other what is hidden where the surface between them is flat to this share of their distance, and their
-// normals agree to this cosine.
-constexpr double kFlat = 0.25;
-constexpr float kSharedNormals = 0.9f;
 
-std::array<float, 3> floats(const Vec3& a) {
-  return {static_cast<float>(a.x), static_cast<float>(a.y), static_cast<float>(a.z)};
-}
-float dot3(const std::array<float, 3>& a, float x, float y, float z) {
-  return a[0] * x + a[1] * y + a[2] * z;
-}
 bool sameWords(const std::uint64_t* a, const std::uint64_t* b, std::size_t count) {
   std::uint64_t differs = 0;
   for (std::size_t i = 0; i < count; ++i) differs |= a[i] ^ b[i];
@@ -44,17 +30,6 @@ float smoothstepf(float edge0, float edge1, float x) {
   const float t = std::clamp((x - edge0) / (edge1 - edge0), 0.f, 1.f);
   return t * t * (3 - 2 * t);
 }
-DirectionLanes lanesOf(const std::array<std::vector<float>, 3>& of, std::size_t from = 0) {
-  return {of[0].data() + from, of[1].data() + from, of[2].data() + from};
-}
-template <class Float>
-std::array<Float*, 3> channels(std::array<std::vector<float>, 3>& of, std::size_t from = 0) {
-  return {of[0].data() + from, of[1].data() + from, of[2].data() + from};
-}
-std::array<const float*, 3> channels(const std::array<std::vector<float>, 3>& of, std::size_t from = 0) {
-  return {of[0].data() + from, of[1].data() + from, of[2].data() + from};
-}
-
 /// Where light i of the list stands as seen from p, and what it gives there.
 void putCaptured(const AcquiredLights& list, std::uint32_t i, const Point<AcquisitionSpace>& p,
                  GuidedBlock::Captured& to) {
@@ -66,13 +41,6 @@ void putCaptured(const AcquiredLights& list, std::uint32_t i, const Point<Acquis
     to.inverse[c][i] = static_cast<float>(inverse[c]);
     to.irradiance[c][i] = inverse[c] > 0 ? static_cast<float>(1 / inverse[c]) : 0.f;
   }
-}
-
-bool sideBySide(const GuidedBlock::Hit& a, const GuidedBlock::Hit& b) {
-  const auto [x, y, z] = a.model.n;
-  const Vec3 step = (b.query.hit->p_star - a.query.hit->p_star).raw();
-  return b.gate > 0 && std::fabs(dot(Vec3{x, y, z}, step)) <= kFlat * length(step) &&
-         dot3(b.model.n, x, y, z) >= kSharedNormals;
 }
 
 }  // namespace
@@ -113,7 +81,9 @@ GuidedLighting::GuidedLighting(const ReflectanceFit& fit, std::span<const std::u
       views_(views),
       list_of_view_(list_of_view),
       options_(options),
+      clusters_(clusterLights(lighting.lights().distant, kClustersOfARay * std::max(1, options.shadow_rays))),
       distant_lanes_(paddedLanes(lighting.lights().distant.size())),
+      cluster_lanes_(paddedLanes(clusters_.count())),
       near_lanes_(paddedLanes(lighting.lights().near_lights.size())),
       offset_(std::max(kRayOffset * occluders.model().bounds().diameter(), occluders.model().positional_error)) {
   energy_.assign(distant_lanes_, 0);
@@ -228,141 +198,6 @@ void GuidedLighting::evaluate(std::span<const GuidedQuery> queries, GuidedBlock&
     block.model_values += modelAnswers(hit.model, hit.model_view, lanesOf(block.near_direction, near),
                                        channels(std::as_const(block.near_irradiance), near), near_lanes_,
                                        channels<float>(block.answer, h * row() + distant_lanes_));
-  }
-}
-
-void GuidedLighting::castShadows(GuidedBlock& block) const {
-  const FrameLights& lights = lighting_.lights();
-  const std::size_t distant_count = lights.distant.size(), near_count = lights.near_lights.size();
-  if (options_.shadows == Shadows::off) return block.sight.assign(block.hits.size() * row(), kInSight);
-  const bool at_rest = options_.shadows == Shadows::captured;
-  auto& wanted = block.rays_wanted;
-  wanted.clear();
-  block.groups.clear();
-  std::vector<Point<ObjectSpace>> origins(block.hits.size());
-  for (std::size_t h = 0; h < block.hits.size(); ++h) {
-    const GuidedBlock::Hit& hit = block.hits[h];
-    if (!(hit.gate > 0)) continue;
-    const LookUp& look_up = *hit.query.look_up;
-    // Acquisition space is the object's at rest.
-    origins[h] =
-        at_rest ? Point<ObjectSpace>(look_up.p.raw()) + offset_ * Direction<ObjectSpace>::fromUnit(look_up.normal.raw())
-                : hit.query.hit->p_star + offset_ * (look_up.acquisition_from_object.inverse() * look_up.normal);
-    for (std::size_t k = 0; k < near_count; ++k) {
-      const DirectionLanes l = lanesOf(block.near_direction, h * near_lanes_ + k);
-      if (dot3(hit.model.n, *l.x, *l.y, *l.z) > 0)
-        wanted.push_back({static_cast<std::uint32_t>(distant_lanes_ + k), static_cast<std::uint32_t>(h),
-                          static_cast<std::uint32_t>(h)});
-    }
-  }
-  if (distant_count > 0) askTogether(block);
-  block.sight.assign((block.hits.size() + block.groups.size()) * row(), kNotAsked);
-  // By light: rays of one packet run side by side.
-  block.first_ray.assign(row() + 1, 0);
-  for (const GuidedBlock::ShadowRay& ray : wanted) ++block.first_ray[ray.light + 1];
-  for (std::size_t k = 0; k < row(); ++k) block.first_ray[k + 1] += block.first_ray[k];
-  block.ray_order.resize(wanted.size());
-  for (std::uint32_t i = 0; i < wanted.size(); ++i) block.ray_order[block.first_ray[wanted[i].light]++] = i;
-
-  auto& [rays, far_distances, blocked] = block.rays;
-  for (std::size_t begin = 0; begin < wanted.size(); begin += kRaysAtOnce) {
-    const std::size_t end = std::min(wanted.size(), begin + kRaysAtOnce);
-    rays.clear();
-    far_distances.clear();
-    for (std::size_t i = begin; i < end; ++i) {
-      const auto [light, h, told] = wanted[block.ray_order[i]];
-      const GuidedBlock::Hit& hit = block.hits[h];
-      const auto& acquisition_from_object = hit.query.look_up->acquisition_from_object;
-      Direction<ObjectSpace> direction;
-      double far = std::numeric_limits<double>::infinity();
-      if (light < distant_count) {
-        direction = lights.distant[light].direction;
-      } else {
-        const std::size_t near = light - distant_lanes_;
-        const DirectionLanes l = lanesOf(block.near_direction, h * near_lanes_ + near);
-        direction = Direction<ObjectSpace>::fromUnit(Vec3{double{*l.x}, double{*l.y}, double{*l.z}});
-        far = kShortOfLight * distance(lights.near_lights[near].position, hit.query.hit->p_star);
-      }
-      if (at_rest) direction = Direction<ObjectSpace>::fromUnit((acquisition_from_object * direction).raw());
-      rays.push_back({origins[h], direction});
-      far_distances.push_back(far);
-    }
-    blocked.assign(rays.size(), 0);
-    occluders_.rays().occluded(rays, far_distances, 0, blocked, /*side_by_side=*/true);
-    for (std::size_t i = begin; i < end; ++i) {
-      const GuidedBlock::ShadowRay& ray = wanted[block.ray_order[i]];
-      block.sight[ray.told * row() + ray.light] = blocked[i - begin] ? kHidden : kInSight;
-    }
-  }
-  block.shadow_rays += wanted.size();
-  if (distant_count > 0) tellEachOther(block);
-}
-
-void GuidedLighting::askTogether(GuidedBlock& block) const {
-  block.keys.resize(distant_lanes_);
-  for (std::size_t first = 0, end; first < block.hits.size(); first = end) {
-    const GuidedBlock::Hit& hit = block.hits[first];
-    end = first + 1;
-    if (!(hit.gate > 0)) continue;
-    while (end < block.hits.size() && end - first < kMostSharers && block.hits[end].query.cell == hit.query.cell &&
-           sideBySide(hit, block.hits[end]))
-      ++end;
-    std::fill(block.keys.begin(), block.keys.end(), 0.f);
-    for (std::size_t h = first; h < end; ++h)
-      addBrightness(channels(std::as_const(block.answer), h * row()), distant_lanes_, block.keys.data());
-    block.asked.choose(block.keys, hit.query.cell.quarter(), end - first,
-                       static_cast<std::size_t>(options_.shadow_rays));
-    for (const std::uint32_t light : block.asked.each)
-      for (std::size_t h = first; h < end; ++h)
-        block.rays_wanted.push_back({light, static_cast<std::uint32_t>(h), static_cast<std::uint32_t>(h)});
-    const auto told = static_cast<std::uint32_t>(block.hits.size() + block.groups.size());
-    block.groups.push_back({static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(end)});
-    std::size_t asker = first;
-    for (const std::uint32_t light : block.asked.once) {
-      const auto next = [&] { return asker + 1 < end ? asker + 1 : first; };
-      const auto faces = [&] {
-        return dot3(block.hits[asker].model.n, direction_[0][light], direction_[1][light], direction_[2][light]) > 0;
-      };
-      for (std::size_t tried = first; tried < end && !faces(); ++tried) asker = next();
-      block.rays_wanted.push_back({light, static_cast<std::uint32_t>(asker), told});
-      asker = next();
-    }
-  }
-}
-
-void GuidedLighting::tellEachOther(GuidedBlock& block) const {
-  const std::size_t hit_count = block.hits.size(), count = distant_lanes_;
-  const auto rowOf = [&block, stride = row()](std::size_t of) { return block.sight.data() + of * stride; };
-  const auto take = [count](std::int8_t* __restrict to, const std::int8_t* __restrict from) {
-    static_assert(kNotAsked == -1 && kHidden == 0 && kInSight == 1);
-    for (std::size_t k = 0; k < count; ++k)
-      to[k] = static_cast<std::int8_t>((to[k] >> 7 & from[k]) | (~(to[k] >> 7) & to[k]));
-  };
-  const auto cellOf = [&](std::size_t group) { return block.hits[block.groups[group].first].query.cell; };
-  // Hits of a block lie within kCellsAlong cells of each other.
-  const auto place = [](const ShadowCell& cell) {
-    return static_cast<std::size_t>(cell.y & (kCellsAlong - 1)) * kCellsAlong + (cell.x & (kCellsAlong - 1));
-  };
-  std::array<std::uint32_t, std::size_t{kCellsAlong} * kCellsAlong> first_group;
-  first_group.fill(static_cast<std::uint32_t>(block.groups.size()));
-  for (std::size_t g = block.groups.size(); g-- > 0;) {
-    first_group[place(cellOf(g))] = static_cast<std::uint32_t>(g);
-    take(rowOf(hit_count + g), rowOf(block.groups[g].first));
-  }
-  std::vector<std::int8_t> told(count);
-  for (std::size_t g = 0; g < block.groups.size(); ++g) {
-    const auto [first, end] = block.groups[g];
-    std::copy_n(rowOf(hit_count + g), count, told.begin());
-    std::array<bool, 4> asked{};
-    for (const ShadowCell& cell : cellOf(g).about())
-      for (std::size_t other = first_group[place(cell)];
-           !asked[cell.quarter()] && other < block.groups.size() && cellOf(other) == cell; ++other) {
-        const auto [begin_there, end_there] = block.groups[other];
-        if (!sideBySide(block.hits[first], block.hits[begin_there])) continue;
-        take(told.data(), rowOf(hit_count + other));
-        asked[cell.quarter()] = end_there - begin_there > 1;
-      }
-    for (std::size_t h = first; h < end; ++h) take(rowOf(h), told.data());
   }
 }
 

@@ -21,6 +21,7 @@
 #include "model/deformed_model.h"
 #include "model/reflectance_fit.h"
 #include "render/guided_kernels.h"
+#include "render/light_clusters.h"
 #include "render/light_weights.h"
 #include "render/look_up.h"
 #include "render/scene.h"
@@ -57,7 +58,7 @@ struct GuidedBlock {
   std::vector<Hit> hits;
   /// Of each hit, where hits share weights: FrameLighting::sharedCorners.
   std::vector<OrientationGrid::Blend> corners;
-  std::vector<std::int8_t> sight;  ///< LightSight of each hit and light of the frame (distant, then near); of `groups`
+  std::vector<std::int8_t> sight;  ///< LightSight of each hit and light of the frame (distant, then near)
   /// Of each near light and list the captured lights nearest to it as the hits see it (FrameLighting::Options::sharing
   /// allowing): weight and position of number j at [(light * k + j) * lanes + hit].
   struct Nearest {
@@ -112,10 +113,12 @@ struct GuidedBlock {
   std::size_t used = 0;
   // Memory of the shadow rays.
   struct ShadowRay {
-    std::uint32_t light, hit, told;  ///< told: row of `sight`
+    std::uint32_t light, hit, told;  ///< cluster or, behind these, near light; told: row of `told`
   };
   std::vector<ShadowRay> rays_wanted;
   std::vector<std::uint32_t> ray_order, first_ray;
+  std::vector<std::int8_t> told;  ///< LightSight of each hit, then of each group, and cluster of distant lights
+  std::vector<float> cluster_keys;
   SharedShadowRays asked;
   std::vector<std::pair<std::uint32_t, std::uint32_t>> groups;  ///< first hit and end of those that tell each other
   struct Rays {
@@ -136,8 +139,8 @@ class GuidedLighting {
     double min_distance = 0;   ///< units: least distance of a point light in A(d)
     bool model_alone = false;  ///< no residual: what the model would show without the photographs
   };
-  /// Everything must outlive it. `marks`: fitMarks. `stand_ins`: prepared for the frame. `occluders`: the model whose
-  /// shadows fall, deformed or at rest.
+  /// Everything must outlive it. The distant lights of `lighting`: ordered by direction (light_clusters.h). `marks`:
+  /// fitMarks. `stand_ins`: prepared for the frame. `occluders`: the model whose shadows fall, deformed or at rest.
   GuidedLighting(const ReflectanceFit& fit, std::span<const std::uint8_t> marks, const FrameLighting& lighting,
                  SharedStandIns& stand_ins, const DeformedModel& occluders, std::span<const SourceView> views,
                  std::span<const std::uint32_t> list_of_view, const Options& options);
@@ -199,7 +202,8 @@ class GuidedLighting {
   std::vector<List> lists_;
   std::array<std::vector<float>, 3> irradiance_, direction_;  ///< of each distant light, object space
   std::vector<float> energy_;                                 ///< of each distant light
-  std::size_t distant_lanes_, near_lanes_;                    ///< lights of the frame, padded for the kernels
+  LightClusters clusters_;                                    ///< of the distant lights, for shadow rays
+  std::size_t distant_lanes_, cluster_lanes_, near_lanes_;    ///< lights of the frame, padded for the kernels
   double offset_;                                             ///< of shadow rays along the normal, units
 };
 

@@ -15,6 +15,11 @@ namespace srf {
 
 inline constexpr std::size_t kMostSharers = 16;  ///< hits of a group
 
+/// More distant lights than this for each ray of a hit are asked after in clusters (light_clusters.h). About half of
+/// them stand below the horizon, and hits side by side ask after some 12 a ray: most of them, and of the others one
+/// beside them.
+inline constexpr std::size_t kClustersOfARay = 32;
+
 /// A cell of the picture, by its place.
 struct ShadowCell {
   std::int32_t x = 0, y = 0;

@@ -9,6 +9,7 @@
 #include "base/numeric.h"
 #include "model/deformation.h"
 #include "render/frame_renderer.h"
+#include "render/light_clusters.h"
 #include "render/light_set.h"
 #include "tests/support/glossy_sphere.h"
 #include "tests/support/test_support.h"
@@ -63,6 +64,57 @@ TEST(SharedShadowRays, CellsSideBySideAskAfterAllQuarters) {
     }
 }
 
+TEST(LightClusters, HoldEachLightOnceAndStrongOnesByThemselves) {
+  std::mt19937 random(5);
+  std::vector<DistantLight> lights;
+  for (int i = 0; i < 3000; ++i) {
+    const double strength = std::uniform_real_distribution(0.5, 1.5)(random);
+    lights.push_back({Direction<ObjectSpace>::fromUnit(test::fibonacci(i, 3000)), {strength, strength, strength}});
+  }
+  lights[1234].irradiance = {900, 800, 700};
+  const Direction<ObjectSpace> sun = lights[1234].direction;
+  std::shuffle(lights.begin(), lights.end(), random);
+  orderByDirection(lights);
+  double apart = 0;  // from one to the next
+  for (std::size_t i = 1; i < lights.size(); ++i)
+    apart += std::acos(std::clamp(dot(lights[i - 1].direction.raw(), lights[i].direction.raw()), -1.0, 1.0));
+  EXPECT_LT(degrees(apart / static_cast<double>(lights.size())),
+            7.4);  // twice the 3.7 between neighbours; 90 in no order
+
+  const LightClusters clusters = clusterLights(lights, 256);
+  ASSERT_EQ(clusters.count(), 256u);
+  ASSERT_EQ(clusters.first.size(), 257u);
+  EXPECT_EQ(clusters.first.front(), 0u);
+  EXPECT_EQ(clusters.first.back(), lights.size());
+  int suns = 0;
+  for (std::size_t c = 0; c < clusters.count(); ++c) {
+    ASSERT_LT(clusters.first[c], clusters.first[c + 1]);
+    for (std::uint32_t i = clusters.first[c]; i < clusters.first[c + 1]; ++i) {
+      EXPECT_GT(dot(lights[i].direction.raw(), clusters.direction[c].raw()), std::cos(radians(15)));
+      if (dot(lights[i].direction.raw(), sun.raw()) < 1 - 1e-9) continue;
+      ++suns;
+      EXPECT_LE(clusters.first[c + 1] - clusters.first[c], 2u);
+      EXPECT_GT(dot(clusters.direction[c].raw(), sun.raw()), std::cos(radians(0.1)));
+    }
+  }
+  EXPECT_EQ(suns, 1);
+}
+
+TEST(LightClusters, FewLightsAndLightsInOneDirectionAreNoCase) {
+  std::vector<DistantLight> lights(5, {Direction<ObjectSpace>::fromUnit({0, 0, 1}), {0, 0, 0}});
+  for (const std::size_t count : {0, 1, 5}) {
+    lights.resize(count, lights.front());
+    orderByDirection(lights);
+    for (const std::size_t most : {1, 4, 5, 100}) {
+      const LightClusters clusters = clusterLights(lights, most);
+      EXPECT_EQ(clusters.first.back(), count);
+      EXPECT_EQ(clusters.count(), count <= most ? count : 1);
+      EXPECT_EQ(clusters.first.size(), clusters.count() + 1);
+    }
+    if (lights.empty()) lights.push_back({Direction<ObjectSpace>::fromUnit({0, 0, 1}), {0, 0, 0}});
+  }
+}
+
 /// A sphere drawn out and bent to a horseshoe, whose arms shade each other, under a sky.
 class SharedShadowsTest : public ::testing::Test {
  protected:
@@ -83,11 +135,11 @@ class SharedShadowsTest : public ::testing::Test {
                            {"type":"bend","axis":[1,0,0],"toward":[0,0,1],"degrees_per_unit":65}])";
     model.deform(AnimatedDeformation::parse(parseJson(text, "test"), ".", Reporter::silent()).at(0));
   }
-  static FrameLights sky() {
+  static FrameLights sky(int count = 200) {
     FrameLights lights;
-    for (int i = 0; i < 200; ++i) {
-      const Vec3 to = test::fibonacci(i, 200);
-      const double strength = 0.02 * (1.2 + to.z) * (i % 37 == 0 ? 8 : 1);
+    for (int i = 0; i < count; ++i) {
+      const Vec3 to = test::fibonacci(i, count);
+      const double strength = 4.0 / count * (1.2 + to.z) * (i % 37 == 0 ? 8 : 1);
       lights.distant.push_back({Direction<ObjectSpace>::fromUnit(to), {strength, strength, 1.2 * strength}});
     }
     return lights;
@@ -100,11 +152,11 @@ class SharedShadowsTest : public ::testing::Test {
     settings.accuracy.shadow_rays = rays;
     return settings;
   }
-  static ImageF picture(const FrameSettings& settings) {
+  static ImageF picture(const FrameSettings& settings, int lights = 200) {
     DeformedModel deformed(field_->model);
     bend(deformed);
     FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings, Reporter::silent());
-    return renderer.render(camera(), deformed, sky()).rgba;
+    return renderer.render(camera(), deformed, sky(lights)).rgba;
   }
   /// Root of the mean squared difference over the root of the mean square.
   static double difference(const ImageF& image, const ImageF& reference) {
@@ -133,6 +185,13 @@ TEST_F(SharedShadowsTest, AFewRaysAHitShowWhatARayToEveryLightDoes) {
     EXPECT_GT(none, 0.03);
     EXPECT_LT(difference(picture(settings(8, samples)), every), share * none) << samples;
   }
+}
+
+TEST_F(SharedShadowsTest, AFewRaysAHitAreEnoughForThousandsOfLights) {
+  const ImageF every = picture(settings(100000, 1), 3000);
+  const double none = difference(picture(settings(0, 1), 3000), every);
+  EXPECT_GT(none, 0.03);
+  EXPECT_LT(difference(picture(settings(8, 1), 3000), every), 0.35 * none);
 }
 
 TEST_F(SharedShadowsTest, AnExplainedPixelIsTheRenderedOneToTheBit) {

@@ -1,0 +1,98 @@
+#include "render/light_clusters.h"
+
+#include <algorithm>
+#include <queue>
+
+namespace srf {
+namespace {
+
+double energyOf(const DistantLight& light) {
+  return light.irradiance.x + light.irradiance.y + light.irradiance.z;
+}
+
+/// The box about the directions of lights first .. end - 1.
+struct LightBox {
+  std::size_t first, end;
+  int axis = 0;  ///< of its longest side
+  double length, middle;
+  bool before(const DistantLight& light) const { return light.direction.raw()[axis] < middle; }
+};
+LightBox boxOf(std::span<const DistantLight> lights, std::size_t first, std::size_t end) {
+  LightBox box{first, end};
+  Vec3 low = lights[first].direction.raw(), high = low;
+  for (std::size_t i = first; i < end; ++i)
+    for (int axis = 0; axis < 3; ++axis) {
+      const double at = lights[i].direction.raw()[axis];
+      low[axis] = std::min(low[axis], at), high[axis] = std::max(high[axis], at);
+    }
+  for (int axis = 1; axis < 3; ++axis)
+    if (high[axis] - low[axis] > high[box.axis] - low[box.axis]) box.axis = axis;
+  box.length = high[box.axis] - low[box.axis];
+  box.middle = 0.5 * (low[box.axis] + high[box.axis]);
+  return box;
+}
+
+}  // namespace
+
+void orderByDirection(std::vector<DistantLight>& lights) {
+  std::vector<std::pair<std::size_t, std::size_t>> parts{{0, lights.size()}};
+  while (!parts.empty()) {
+    const auto [first, end] = parts.back();
+    parts.pop_back();
+    if (end - first < 2) continue;
+    const LightBox box = boxOf(lights, first, end);
+    const auto begin = lights.begin();
+    const auto cut =
+        std::stable_partition(begin + static_cast<std::ptrdiff_t>(first), begin + static_cast<std::ptrdiff_t>(end),
+                              [&](const DistantLight& light) { return box.before(light); });
+    const auto at = static_cast<std::size_t>(cut - begin);
+    if (at == first || at == end) continue;  // all in one direction
+    parts.emplace_back(first, at);
+    parts.emplace_back(at, end);
+  }
+}
+
+LightClusters clusterLights(std::span<const DistantLight> lights, std::size_t most) {
+  LightClusters result;
+  struct Part {
+    LightBox box;
+    double worth;
+    bool operator<(const Part& other) const {
+      return worth != other.worth ? worth < other.worth : box.first > other.box.first;
+    }
+  };
+  std::priority_queue<Part> parts;
+  const auto add = [&](std::size_t first, std::size_t end) {
+    const LightBox box = boxOf(lights, first, end);
+    double energy = 0;
+    for (std::size_t i = first; i < end; ++i) energy += energyOf(lights[i]);
+    parts.push({box, energy * box.length});
+  };
+  if (lights.size() <= most) {
+    for (std::size_t i = 0; i < lights.size(); ++i) result.first.push_back(static_cast<std::uint32_t>(i));
+  } else {
+    add(0, lights.size());
+    while (parts.size() < most && parts.top().worth > 0) {
+      const LightBox box = parts.top().box;
+      const auto part = lights.subspan(box.first, box.end - box.first);
+      const auto cut = std::find_if_not(part.begin(), part.end(), [&](const auto& light) { return box.before(light); });
+      const std::size_t at = box.first + static_cast<std::size_t>(cut - part.begin());
+      if (at == box.first || at == box.end) break;  // no wider than rounding
+      parts.pop();
+      add(box.first, at);
+      add(at, box.end);
+    }
+    for (; !parts.empty(); parts.pop()) result.first.push_back(static_cast<std::uint32_t>(parts.top().box.first));
+    std::sort(result.first.begin(), result.first.end());
+  }
+  result.first.push_back(static_cast<std::uint32_t>(lights.size()));
+  for (std::size_t k = 0; k + 1 < result.first.size(); ++k) {
+    const std::size_t first = result.first[k], end = result.first[k + 1];
+    Vec3 sum;
+    for (std::size_t i = first; i < end && end - first > 1; ++i) sum += energyOf(lights[i]) * lights[i].direction.raw();
+    result.direction.push_back(normalize(Vector<ObjectSpace>(sum)).value_or(lights[first].direction));
+  }
+  return result;
+}
+
+}  // namespace srf
