@@ -207,8 +207,7 @@ Json planOfFrame(const Scene& scene, AnimationOptions options, int frame, Report
       "/accuracy/light_sharing is " + shortNumber(scene.accuracy.light_sharing) + " degrees");
   const Shading shading = scene.accuracy.shading;
   const bool sparse = shading != Shading::every && samples == 1;
-  const char* const name = shading == Shading::every ? "every" : shading == Shading::sparse ? "sparse" : "sparser";
-  const std::string shading_is = std::string("/accuracy/shading is \"") + name + "\"";
+  const std::string shading_is = "/accuracy/shading is " + shadingAsJson(shading);
   add("sparse shading", sparse,
       shading_is + (shading != Shading::every && samples > 1 ? ", but a pixel has several samples" : ""),
       !sparse                      ? ""

@@ -108,8 +108,7 @@ SceneKeys ownSetting(const Scene& scene, const SceneProbe& probe) {
   for (const std::string& key : environments.keys) keys[key] = text(environments.own);
   if (probe.guided) keys[kInterpolation] = "\"guided\"";
   if (probe.shadow_rays) keys[kShadowRays] = text(scene.accuracy.shadow_rays);
-  if (scene.accuracy.shading != Shading::every)
-    keys[kShading] = scene.accuracy.shading == Shading::sparse ? "\"sparse\"" : "\"sparser\"";
+  if (scene.accuracy.shading != Shading::every) keys[kShading] = shadingAsJson(scene.accuracy.shading);
   return keys;
 }
 
@@ -117,7 +116,7 @@ SceneKeys exactSetting(const Scene& scene, const SceneProbe& probe, double secon
   const Environments environments = environmentsOf(scene);
   SceneKeys keys = ownSetting(scene, probe);
   keys[kSharing] = "0";
-  if (scene.accuracy.shading != Shading::every) keys[kShading] = "\"every\"";
+  if (scene.accuracy.shading != Shading::every) keys[kShading] = shadingAsJson(Shading::every);
   if (probe.shadow_rays) keys[kShadowRays] = text(kEveryRay);
   const double own_lights = environments.own == 0 ? environments.most : environments.own;
   int samples = 16;

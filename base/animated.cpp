@@ -32,5 +32,15 @@ Animated<double> readAnimatedNumber(const JsonNode& node) {
 Animated<Vec3> readAnimatedVec3(const JsonNode& node) {
   return readAnimated<Vec3>(node, [](const JsonNode& n) { return n.vec3(); });
 }
+Animated<double> readAnimatedAmount(const JsonNode& node) {
+  return readAnimated<double>(node, [](const JsonNode& n) { return n.amount(); });
+}
+Animated<Vec3> readAnimatedAmounts(const JsonNode& node) {
+  return readAnimated<Vec3>(node, [](const JsonNode& n) {
+    const Vec3 v = n.vec3();
+    for (int c = 0; c < 3; ++c) n.at(c).amount();
+    return v;
+  });
+}
 
 }  // namespace srf

@@ -55,5 +55,8 @@ class Animated {
 Animated<double> readAnimatedNumber(const JsonNode& node);
 /// Reads [x, y, z], or the animated form of it.
 Animated<Vec3> readAnimatedVec3(const JsonNode& node);
+/// The same of at least 0 at every key; between them cubic keys may still pass below it.
+Animated<double> readAnimatedAmount(const JsonNode& node);
+Animated<Vec3> readAnimatedAmounts(const JsonNode& node);
 
 }  // namespace srf

@@ -6,6 +6,7 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <sstream>
+#include <unordered_set>
 
 #include "base/files.h"
 
@@ -33,13 +34,69 @@ std::string token(std::string_view key) {
   return out;
 }
 
+// Watches a text being parsed: how deep it goes, and that no key stands twice in an object, of which the parser would
+// keep the last without a word.
+class ParseWatch {
+ public:
+  explicit ParseWatch(std::string name) : name_(std::move(name)) {}
+
+  bool operator()(int depth, Json::parse_event_t event, const Json& value) {
+    using Event = Json::parse_event_t;
+    if (depth > kDeepest)
+      throw badInput(name_, "is nested deeper than " + std::to_string(kDeepest) + " levels; mend it");
+    switch (event) {
+      case Event::object_start:
+      case Event::array_start:
+        if (open_.size() == used_) open_.emplace_back();
+        open_[used_].is_object = event == Event::object_start;
+        open_[used_].keys.clear();
+        open_[used_++].entry = 0;
+        break;
+      case Event::key:
+        addKey(value.get_ref<const std::string&>());
+        break;
+      case Event::object_end:
+      case Event::array_end:
+        --used_;
+        [[fallthrough]];
+      case Event::value:
+        if (used_ > 0) ++open_[used_ - 1].entry;
+    }
+    return true;
+  }
+
+ private:
+  struct Container {
+    bool is_object = false;
+    std::size_t entry = 0;  // of an array
+    std::string key;        // of an object, the one that is being read
+    std::unordered_set<std::string> keys;
+  };
+
+  void addKey(const std::string& key) {
+    Container& object = open_[used_ - 1];
+    object.key = key;
+    if (object.keys.insert(key).second) return;
+    std::string pointer;
+    for (std::size_t i = 0; i < used_; ++i)
+      pointer += "/" + (open_[i].is_object ? token(open_[i].key) : std::to_string(open_[i].entry));
+    throw badInput(name_ + ": " + pointer, "the key " + inQuotes(key) + " stands twice; keep one of the two");
+  }
+
+  std::string name_;
+  std::vector<Container> open_;  // the first `used_` of them: the containers that are open, the outermost first
+  std::size_t used_ = 0;
+};
+
+Json parsed(const std::string& text, const std::string& name) {
+  ParseWatch watch(name);
+  return Json::parse(text,
+                     [&](int depth, Json::parse_event_t event, Json& value) { return watch(depth, event, value); });
+}
+
 JsonNode rootOf(const std::string& text, const std::string& name) {
   try {
-    auto document = std::make_shared<const Json>(Json::parse(text, [&](int depth, Json::parse_event_t, Json&) {
-      if (depth > kDeepest)
-        throw badInput(name, "is nested deeper than " + std::to_string(kDeepest) + " levels; mend it");
-      return true;
-    }));
+    auto document = std::make_shared<const Json>(parsed(text, name));
     return {document, document.get(), name, ""};
   } catch (const Json::out_of_range& e) {
     throw badInput(name,
@@ -135,6 +192,12 @@ double JsonNode::positiveNumber() const {
   return x;
 }
 
+double JsonNode::amount() const {
+  const double x = number();
+  if (!(x >= 0)) throw error("found " + shown(*value_) + ", expected a number of at least 0");
+  return x;
+}
+
 long JsonNode::integer(long least, long most) const {
   const double x = number();
   if (x != std::floor(x) || x < static_cast<double>(least) || x > static_cast<double>(most))
@@ -167,6 +230,10 @@ std::vector<double> JsonNode::numbers(std::size_t count) const {
 }
 
 std::size_t JsonNode::choice(std::initializer_list<std::string_view> words) const {
+  return choice(std::span(words.begin(), words.size()));
+}
+
+std::size_t JsonNode::choice(std::span<const std::string_view> words) const {
   const std::string found = string();
   std::string list;
   std::size_t i = 0;
@@ -188,7 +255,8 @@ JsonNode readJsonFile(const std::filesystem::path& file) {
 std::filesystem::path existingFile(const JsonNode& node, const std::filesystem::path& folder) {
   std::filesystem::path file = folder / node.string();
   if (!std::filesystem::is_regular_file(file))
-    throw node.error("the file '" + file.string() + "' does not exist; the path is relative to the scene's file");
+    throw node.error("the file '" + file.string() + "' does not exist; the path is relative to " +
+                     std::filesystem::path(node.file()).filename().string());
   return file;
 }
 
@@ -198,8 +266,11 @@ JsonNode withOverride(const JsonNode& root, const std::string& assignment) {
     throw Error(ErrorKind::usage, "found '" + assignment + "', expected /json/pointer=value", "--set");
   const std::string pointer = assignment.substr(0, equals), text = assignment.substr(equals + 1);
   Json document = root.raw();
-  Json value = Json::parse(text, nullptr, false);
-  if (value.is_discarded()) value = text;
+  Json value = text;
+  try {
+    value = parsed(text, "--set " + pointer);
+  } catch (const Json::exception&) {  // a string
+  }
   try {
     // nlohmann would fill an array with nulls up to any index.
     for (Json::json_pointer p(pointer); !p.empty(); p.pop_back()) {

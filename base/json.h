@@ -6,6 +6,7 @@
 #include <memory>
 #include <nlohmann/json_fwd.hpp>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -45,12 +46,14 @@ class JsonNode {
 
   double number() const;          ///< finite
   double positiveNumber() const;  ///< finite and > 0
+  double amount() const;          ///< finite and >= 0
   long integer(long least, long most) const;
   std::string string() const;
   bool boolean() const;
   Vec3 vec3() const;  ///< [x, y, z], finite
   std::vector<double> numbers(std::size_t count) const;
   /// One of the words, as an index; the error lists them.
+  std::size_t choice(std::span<const std::string_view> words) const;
   std::size_t choice(std::initializer_list<std::string_view> words) const;
 
  private:
@@ -59,7 +62,8 @@ class JsonNode {
   std::string file_, pointer_;
 };
 
-/// Parses a file; throws bad_input with line and column on a syntax error, or where it is missing or unreadable.
+/// Parses a file; throws bad_input with line and column on a syntax error, with its place where a key stands twice in
+/// an object, or where the file is missing or unreadable.
 JsonNode readJsonFile(const std::filesystem::path& file);
 /// The file that a node names, relative to the folder of the file it stands in; throws bad_input where there is none.
 std::filesystem::path existingFile(const JsonNode& node, const std::filesystem::path& folder);

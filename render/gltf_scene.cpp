@@ -1,5 +1,7 @@
 #include "render/gltf_scene.h"
 
+#include <algorithm>
+
 #include "base/numeric.h"
 #include "model/gltf_pose.h"
 
@@ -53,7 +55,7 @@ FileLights::FileLights(const JsonNode& node, const std::filesystem::path& folder
   gltf_ = open(node, folder);
   const std::string name = stringOr(node, "name");
   animation_ = gltf_->animation(stringOr(node, "animation"), where_ + "/animation");
-  scale_ = node.has("scale") ? readAnimatedNumber(node["scale"]) : Animated<double>(1.0);
+  scale_ = node.has("scale") ? readAnimatedAmount(node["scale"]) : Animated<double>(1.0);
   if (!name.empty()) {
     nodes_ = {gltf_->lightNode(name, where_ + "/name")};
   } else {
@@ -67,6 +69,9 @@ FileLights::FileLights(const JsonNode& node, const std::filesystem::path& folder
     if (light.type != "point" && light.type != "directional")
       throw badInput(where_, "the light '" + (light.name.empty() ? holder.name : light.name) + "' is of type '" +
                                  light.type + "', expected point or directional; change it, or name another");
+    if (!(light.intensity >= 0 && minComponent(light.colour) >= 0))
+      throw badInput(where_, "the light '" + (light.name.empty() ? holder.name : light.name) +
+                                 "' has an intensity or a colour below 0; mend the file, or name another");
   }
 }
 
@@ -76,7 +81,7 @@ std::vector<FileLights::Light> FileLights::at(double frame, double fps) const {
   for (const int i : nodes_) {
     const AffineTransform& world = pose.world[static_cast<std::size_t>(i)];
     const GltfLight& light = gltf_->lights[static_cast<std::size_t>(gltf_->nodes[static_cast<std::size_t>(i)].light)];
-    const Vec3 amount = (light.intensity * scale_.at(frame)) * light.colour;
+    const Vec3 amount = (light.intensity * std::max(0.0, scale_.at(frame))) * light.colour;
     if (light.type == "point") {
       lights.push_back({false, objectFromGltf(world.translation), amount});
       continue;

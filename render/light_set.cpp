@@ -12,6 +12,11 @@
 namespace srf {
 namespace {
 
+/// A strength whose cubic keys may pass below 0 between them.
+Vec3 notBelow0(const Vec3& v) {
+  return {std::max(0.0, v.x), std::max(0.0, v.y), std::max(0.0, v.z)};
+}
+
 /// What a set of texels sends: irradiance on a plane facing each, and its first moment, both weighted by luminance.
 struct Energy {
   double total = 0;
@@ -294,16 +299,17 @@ FrameLights LightSet::at(double frame) const {
   std::size_t environments = 0, captured = 0;
   for (std::size_t i = 0; i < scene_.lights.size(); ++i) {
     if (const auto* point = std::get_if<PointLight>(&scene_.lights[i])) {
-      lights.near_lights.push_back({Point<ObjectSpace>(point->position.at(frame)), point->intensity.at(frame)});
+      lights.near_lights.push_back(
+          {Point<ObjectSpace>(point->position.at(frame)), notBelow0(point->intensity.at(frame))});
     } else if (const auto* distant = std::get_if<DirectionalLight>(&scene_.lights[i])) {
       const auto direction = normalize(Vector<ObjectSpace>(distant->direction.at(frame)));
       if (!direction)
         throw badInput(placeOf(scene_, i) + "/direction", "passes through length 0 at frame " + std::to_string(frame) +
                                                               ", between opposed keys; add a key between them");
-      lights.distant.push_back({*direction, distant->irradiance.at(frame)});
+      lights.distant.push_back({*direction, notBelow0(distant->irradiance.at(frame))});
     } else if (const auto* environment = std::get_if<EnvironmentLight>(&scene_.lights[i])) {
       const Mat3 turn = rotationAbout({0, 0, 1}, radians(environment->rotation.at(frame)));
-      const double scale = environment->scale.at(frame);
+      const double scale = std::max(0.0, environment->scale.at(frame));
       for (const DistantLight& light : environments_[environments++].lights)
         lights.distant.push_back(
             {Direction<ObjectSpace>::fromUnit(turn * light.direction.raw()), scale * light.irradiance});
@@ -316,7 +322,8 @@ FrameLights LightSet::at(double frame) const {
         }
       }
     } else {
-      lights.rest.push_back({captured_[captured++], std::get<CapturedLight>(scene_.lights[i]).scale.at(frame)});
+      lights.rest.push_back(
+          {captured_[captured++], std::max(0.0, std::get<CapturedLight>(scene_.lights[i]).scale.at(frame))});
     }
   }
   return lights;

@@ -3,6 +3,7 @@
 #include <charconv>
 #include <cmath>
 #include <nlohmann/json.hpp>
+#include <unordered_set>
 
 #include "base/files.h"
 #include "base/numeric.h"
@@ -48,12 +49,20 @@ Animated<double> readNumberWithin(const JsonNode& node, double least, double mos
   return value;
 }
 
-Animated<double> numberOr(const JsonNode& parent, std::string_view key, double otherwise) {
-  const auto node = parent.find(key);
-  return node ? readAnimatedNumber(*node) : Animated<double>(otherwise);
+/// A light's `scale`.
+Animated<double> scaleOf(const JsonNode& light) {
+  const auto node = light.find("scale");
+  return node ? readAnimatedAmount(*node) : Animated<double>(1);
 }
 
 SceneCamera readCamera(const JsonNode& node, const std::filesystem::path& folder) {
+  std::string forms;
+  for (const char* form : {"look_at", "transform_matrix", "gltf"}) {
+    if (!node.has(form)) continue;
+    if (!forms.empty())
+      throw node.error("has " + forms + " and " + form + ", expected one of the two; remove the other");
+    forms = form;
+  }
   if (node.has("gltf")) return FileCamera(node, folder);
   if (!node.has("look_at")) {
     node.onlyKeys({SRF_LENS_KEYS, "camera_angle_x", "camera_angle_y", "transform_matrix", "look_at", "vfov", "gltf"});
@@ -64,6 +73,9 @@ SceneCamera readCamera(const JsonNode& node, const std::filesystem::path& folder
     // The file's camera stands in object space; the reader's type speaks of a capture's.
     return atRest({readLens({node}), readPose(node["transform_matrix"])});
   }
+  for (const char* key : {SRF_LENS_KEYS, "camera_angle_x", "camera_angle_y"})
+    if (const auto found = node.find(key); found && key != std::string_view("w") && key != std::string_view("h"))
+      throw found->error("belongs to transform_matrix; give vfov beside look_at");
   node.onlyKeys({"w", "h", "vfov", "look_at"});
   LookAtCamera camera;
   camera.width = static_cast<int>(node["w"].integer(1, 65536));
@@ -85,16 +97,16 @@ SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) 
   switch (node["type"].choice({"point", "directional", "environment", "captured", "gltf"})) {
     case 0:
       node.onlyKeys({"type", "position", "intensity"});
-      return PointLight{readAnimatedVec3(node["position"]), readAnimatedVec3(node["intensity"])};
+      return PointLight{readAnimatedVec3(node["position"]), readAnimatedAmounts(node["intensity"])};
     case 1:
       node.onlyKeys({"type", "direction", "irradiance"});
-      return DirectionalLight{readDirection(node["direction"]), readAnimatedVec3(node["irradiance"])};
+      return DirectionalLight{readDirection(node["direction"]), readAnimatedAmounts(node["irradiance"])};
     case 2: {
       node.onlyKeys({"type", "map", "rotation", "scale", "samples"});
       EnvironmentLight light;
       light.map = existingFile(node["map"], folder);
-      light.rotation = numberOr(node, "rotation", 0);
-      light.scale = numberOr(node, "scale", 1);
+      light.rotation = node.has("rotation") ? readAnimatedNumber(node["rotation"]) : Animated<double>(0);
+      light.scale = scaleOf(node);
       if (const auto samples = node.find("samples")) light.samples = static_cast<int>(samples->integer(0, 1000000));
       return light;
     }
@@ -102,7 +114,7 @@ SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) 
       return FileLights(node, folder);
     default:
       node.onlyKeys({"type", "light", "scale"});
-      return CapturedLight{node.has("light") ? node["light"].string() : "", numberOr(node, "scale", 1)};
+      return CapturedLight{node.has("light") ? node["light"].string() : "", scaleOf(node)};
   }
 }
 
@@ -122,7 +134,7 @@ Accuracy readAccuracy(const JsonNode& node) {
                           ", expected 0 (the photographs as they are) or at least 1.5");
   }
   if (const auto shading = node.find("shading"))
-    accuracy.shading = static_cast<Shading>(shading->choice({"every", "sparse", "sparser"}));
+    accuracy.shading = static_cast<Shading>(shading->choice(kShadingWords));
   if (const auto rays = node.find("shadow_rays")) accuracy.shadow_rays = static_cast<int>(rays->integer(0, 1000000));
   return accuracy;
 }
@@ -212,6 +224,10 @@ Scene readScene(const std::filesystem::path& file, const std::vector<std::string
   return scene;
 }
 
+std::string shadingAsJson(Shading shading) {
+  return '"' + std::string(kShadingWords[static_cast<std::size_t>(shading)]) + '"';
+}
+
 Camera<ObjectSpace> Scene::cameraAt(double frame) const {
   if (const auto* fixed = std::get_if<Camera<ObjectSpace>>(&camera)) return *fixed;
   if (const auto* from_file = std::get_if<FileCamera>(&camera)) return from_file->at(frame / fps);
@@ -246,6 +262,7 @@ std::vector<int> parseFrames(const std::string& text, const std::string& where) 
   };
   const auto skip = [&](char c) { return at != end && *at == c && ++at; };
   std::vector<int> frames;
+  std::unordered_set<int> named;
   do {
     while (skip(' ')) {}
     const int first = number();
@@ -257,7 +274,8 @@ std::vector<int> parseFrames(const std::string& text, const std::string& where) 
       if (step < 1) throw fail("whose step is not above 0; ");
     }
     while (skip(' ')) {}
-    for (int frame = first; frame <= last; frame += step) frames.push_back(frame);
+    for (int frame = first; frame <= last; frame += step)
+      if (named.insert(frame).second) frames.push_back(frame);
     if (frames.size() > static_cast<std::size_t>(kMostFrames)) throw fail("which is more than a million frames; ");
   } while (skip(','));
   if (at != end) throw fail("");

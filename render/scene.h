@@ -1,10 +1,12 @@
 // scene.json: camera, deformation, lights, frames, output (doc: formats, Scene).
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <variant>
 #include <vector>
 
@@ -64,6 +66,10 @@ enum class Shading {
   sparse,  ///< a third of them: every second row and column
   sparser  ///< a seventh: every fourth, where the surface is that flat
 };
+/// What a scene's file calls them, in their order.
+inline constexpr std::array<std::string_view, 3> kShadingWords{"every", "sparse", "sparser"};
+/// As JSON has it: "sparse" in its quotes.
+std::string shadingAsJson(Shading shading);
 
 /// Every approximation, each with an exact setting (M18).
 struct Accuracy {
@@ -99,7 +105,7 @@ struct Scene {
 
 /// Reads scene.json; `overrides` are --set assignments. Throws bad_input naming file, key and what was expected.
 Scene readScene(const std::filesystem::path& file, const std::vector<std::string>& overrides, Reporter& reporter);
-/// "0-60", "0-60x2", "3", "1,3,10-20" to numbers, in the order given; throws bad_input naming `where`, or
+/// "0-60", "0-60x2", "3", "1,3,10-20" to numbers, in the order given and each once; throws bad_input naming `where`, or
 /// usage where that is an option ("--frames").
 std::vector<int> parseFrames(const std::string& text, const std::string& where);
 /// The file of a frame: #### (or %04d) replaced; a pattern without either gets .#### before its suffix.

@@ -53,6 +53,28 @@ TEST(Json, PointersOfKeysWithSlashesAreEscaped) {
   EXPECT_TRUE(holds(complaint([&] { node.onlyKeys({"c"}); }), "/a~1b"));
 }
 
+TEST(Json, AKeyThatStandsTwiceIsAnErrorThatNamesItsPlace) {
+  const auto refusal = [](const char* text) { return complaint([&] { parseJson(text, "scene.json"); }); };
+  const std::string top = refusal(R"({"fps": 24, "lights": [], "fps": 25})");
+  EXPECT_TRUE(holds(top, "scene.json: /fps: the key 'fps' stands twice; keep one of the two")) << top;
+  const std::string deep = refusal(R"({"a": [1, [2, {"x": 1}], {"b/c": {"d": {}, "e": [], "d": 2}}]})");
+  EXPECT_TRUE(holds(deep, "scene.json: /a/2/b~1c/d: ")) << deep;
+  const std::string big = refusal(R"({"a": {"k": {}}, "b": {"k": [{"a": 1}, {"a": 1}], "a": 3}, "c": 0, "b": 0})");
+  EXPECT_TRUE(holds(big, "scene.json: /b: ")) << big;
+}
+
+TEST(Json, OneKeyInSeveralObjectsIsNoKeyTwice) {
+  const auto node = parseJson(R"({"a": {"a": 1, "b": {"a": 2}}, "list": [{"a": 3}, {"a": 4}], "b": 5})", "scene.json");
+  EXPECT_EQ(node["list"].at(1)["a"].number(), 4);
+}
+
+TEST(Json, AnOverrideWithAKeyTwiceIsAnErrorToo) {
+  const auto node = parseJson(R"({"a": 1})", "scene.json");
+  const std::string text = complaint([&] { withOverride(node, R"(/a={"x": 1, "x": 2})"); });
+  EXPECT_TRUE(holds(text, "--set /a: /x: the key 'x' stands twice")) << text;
+  EXPECT_EQ(withOverride(node, "/a={\"x")["a"].string(), "{\"x");
+}
+
 TEST(Json, MissingKeysSaySo) {
   const std::string text = complaint([] { scene()["camera"]["vfov"]; });
   EXPECT_TRUE(holds(text, "/camera") && holds(text, "'vfov' is missing")) << text;

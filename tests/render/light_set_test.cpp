@@ -251,6 +251,24 @@ TEST(LightSet, GivesAllKindsTogetherAndMoving) {
   EXPECT_EQ(lights.rest[0].scale, 0.5);
 }
 
+TEST(LightSet, AStrengthWhoseCubicKeysPassBelow0Is0There) {
+  // Catmull-Rom from 0 to 0 has the slope of what follows at its end, so it dips.
+  const auto rising = [](auto zero, auto one) {
+    return Animated<decltype(zero)>({{0, zero}, {2, zero}, {4, one}}, KeyInterpolation::cubic);
+  };
+  const auto scale = rising(0.0, 1.0);
+  ASSERT_LT(scale.at(1), 0);
+  const Animated<Vec3> strength = rising(Vec3{}, Vec3{1, 1, 1});
+  const FrameLights lights =
+      LightSet(
+          sceneWith({PointLight{kWhite, strength}, DirectionalLight{kWhite, strength}, CapturedLight{"L001", scale}}),
+          kField, Reporter::silent())
+          .at(1);
+  EXPECT_EQ(lights.near_lights[0].intensity, Vec3{});
+  EXPECT_EQ(lights.distant[0].irradiance, Vec3{});
+  EXPECT_EQ(lights.rest[0].scale, 0);
+}
+
 TEST(LightSet, RefusesLightsThatTheFieldDoesNotHave) {
   EXPECT_EQ(refusal(sceneWith({CapturedLight{"L001", 1.0}}), kField), "");
   EXPECT_EQ(refusal(sceneWith({CapturedLight{"", 1.0}}), kUnknown), "");

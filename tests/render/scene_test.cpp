@@ -130,6 +130,13 @@ TEST_F(SceneTest, RefusalsNameThePlaceAndTheMend) {
   EXPECT_REFUSED(light(R"({"type": "directional", "direction": {"keys": [[0, [1, 0, 0]], [4, [0, 0, 0]]]},
                            "irradiance": [1, 1, 1]})"),
                  "/lights/0/direction/keys/1/1", "length 0");
+  EXPECT_REFUSED(light(R"({"type": "directional", "direction": [0, 0, 1], "irradiance": [1, -1, 1]})"),
+                 "/lights/0/irradiance/1: found -1, expected a number of at least 0");
+  EXPECT_REFUSED(light(R"({"type": "point", "position": [0, 0, 1],
+                           "intensity": {"keys": [[0, [1, 1, 1]], [4, [0, 0, -2]]]}})"),
+                 "/lights/0/intensity/keys/1/1/2: found -2");
+  EXPECT_REFUSED(light(R"({"type": "captured", "scale": -0.5})"), "/lights/0/scale: found -0.5, expected",
+                 "at least 0");
   EXPECT_REFUSED(light(R"({"type": "spot"})"), "/lights/0/type", "'environment'");
   EXPECT_REFUSED(light(R"({"type": "point", "position": [0, 0], "intensity": [1, 1, 1]})"), "/lights/0/position");
   EXPECT_REFUSED(light(R"({"type": "environment", "map": "missing.exr"})"), "/lights/0/map", "missing.exr");
@@ -143,6 +150,16 @@ TEST_F(SceneTest, CamerasThatSeeNothingAreRefused) {
   EXPECT_REFUSED(refusal(camera(R"("w": 9, "h": 9, "vfov": 180,
     "look_at": {"eye": [0, 0, 1], "target": [0, 0, 0], "up": [1, 0, 0]})")),
                  "/camera/vfov", "180");
+  EXPECT_REFUSED(refusal(camera(R"("w": 9, "h": 9, "vfov": 30, "fl_x": 9,
+    "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]],
+    "look_at": {"eye": [0, 0, 1], "target": [0, 0, 0], "up": [1, 0, 0]})")),
+                 "scene.json: /camera: has look_at and transform_matrix", "one of the two");
+  EXPECT_REFUSED(refusal(camera(R"("w": 9, "h": 9, "gltf": {"file": "a.glb"},
+    "look_at": {"eye": [0, 0, 1], "target": [0, 0, 0], "up": [1, 0, 0]})")),
+                 "/camera: has look_at and gltf", "one of the two");
+  EXPECT_REFUSED(refusal(camera(R"("w": 9, "h": 9, "vfov": 30, "cx": 4,
+    "look_at": {"eye": [0, 0, 1], "target": [0, 0, 0], "up": [1, 0, 0]})")),
+                 "/camera/cx: belongs to transform_matrix", "vfov beside look_at");
   const auto lookAtRefusal = [&](const std::string& eye, const std::string& up) -> std::string {
     const Scene scene = read(camera(R"("w": 9, "h": 9, "vfov": 30, "look_at": {"eye": )" + eye +
                                     R"(, "target": [0, 0, 0], "up": )" + up + "}"));
@@ -223,6 +240,10 @@ TEST(Frames, GrammarOfRangesStepsAndLists) {
     EXPECT_THROW(parseFrames(wrong, "--frames"), Error) << wrong;
 }
 
+TEST(Frames, AFrameNamedTwiceIsRenderedOnce) {
+  EXPECT_EQ(parseFrames("5,0-6x2,5,4-5", ""), (std::vector<int>{5, 0, 2, 4, 6}));
+}
+
 TEST(Frames, NumbersStandInTheFilesName) {
   EXPECT_EQ(frameFile("a/b.####.exr", 7), "a/b.0007.exr");
   EXPECT_EQ(frameFile("a/b.##.exr", 123), "a/b.123.exr");
@@ -296,6 +317,13 @@ TEST_F(SceneTest, WhatAGltfDoesNotHoldIsRefused) {
   EXPECT_REFUSED(refusal(R"("camera": {"w": 64, "h": 48, "gltf": {"file": "none.gltf"}},)" + kLights),
                  "scene.json: /camera/gltf/file", "none.gltf");
   EXPECT_REFUSED(refusal(R"("camera": {"w": 64, "gltf": {"file": "stage.gltf"}},)" + kLights), "/camera", "h");
+  EXPECT_REFUSED(refusal(kCamera + R"(, "lights": [{"type": "gltf", "file": "stage.gltf", "scale": -1}])"),
+                 "/lights/0/scale: found -1", "at least 0");
+  std::string negative = stageFile();
+  negative.replace(negative.find("100"), 3, "-10");
+  writeTextFile(folder_ / "negative.gltf", negative);
+  EXPECT_REFUSED(refusal(kCamera + R"(, "lights": [{"type": "gltf", "file": "negative.gltf"}])"), "/lights/0", "'lamp'",
+                 "below 0");
   std::string spot = stageFile();
   spot.replace(spot.find("directional"), 11, "spot");
   writeTextFile(folder_ / "spot.gltf", spot);
