@@ -9,6 +9,7 @@
 
 #include "base/error.h"
 #include "base/json.h"
+#include "base/memory.h"
 #include "base/parallel.h"
 
 namespace srf {
@@ -90,6 +91,7 @@ int Program::run(int argc, char** argv, const std::function<void(Reporter&)>& bo
   int code = 0;
   try {
     requireProcessor();
+    requireMemory(reporter);
     body(reporter);
   } catch (const Error& e) {
     code = static_cast<int>(e.kind());
@@ -109,6 +111,23 @@ int Program::run(int argc, char** argv, const std::function<void(Reporter&)>& bo
     if (code == 0) code = static_cast<int>(e.kind());
   }
   return code;
+}
+
+// A budget below what the program holds before any work cannot be kept. Its libraries count too, but their pages are
+// shared and can be dropped: below these it works, as a process larger than the budget.
+void Program::requireMemory(Reporter& reporter) const {
+  if (memory_text_.empty()) return;
+  const auto mebibytes = [](std::size_t bytes) { return std::to_string((bytes >> 20) + 1) + " MiB"; };
+  const std::size_t own = ownBytes(), resident = residentBytes();
+  const std::string libraries = mebibytes(resident) + " with its libraries";
+  if (memory_bytes_ < own)
+    throw Error(ErrorKind::out_of_budget,
+                "found '" + memory_text_ + "', which is less than the program holds before any work, " +
+                    mebibytes(own) + " and " + libraries + "; give " + mebibytes(2 * resident) + " or more",
+                "--memory");
+  if (memory_bytes_ < resident)
+    reporter.warn("--memory " + memory_text_ + " cannot be kept: the program holds " + libraries +
+                  " before any work; what it takes besides is kept small");
 }
 
 void Program::writeStats(const Reporter& reporter, double seconds, int exit_code) const {

@@ -28,6 +28,7 @@ class Program {
   const std::string& commandLine() const { return command_line_; }
 
  private:
+  void requireMemory(Reporter& reporter) const;
   void writeStats(const Reporter& reporter, double seconds, int exit_code) const;
 
   CLI::App app_;

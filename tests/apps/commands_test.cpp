@@ -183,6 +183,12 @@ TEST(Commands, WrongUsageExitsWithTwo) {
   EXPECT_EQ(run({"acquire", sample().capture, "-o", "x.srf", "--memory", "lots"}).code, 2);
 }
 
+TEST(Commands, ABudgetBelowWhatTheProgramHoldsAtOnceIsRefused) {
+  expectMessage(run({"info", sample().field, "--memory", "1K"}), 4,
+                {"--memory", "'1K'", "before any work", "MiB or more"});
+  EXPECT_EQ(run({"info", sample().field, "--memory", "4G"}).code, 0);
+}
+
 TEST(Commands, StatsAreWrittenOnSuccessAndOnFailure) {
   test::TemporaryFolder folder;
   EXPECT_EQ(run({"info", sample().field, "--stats", folder / "good.json"}).code, 0);
@@ -253,7 +259,25 @@ TEST(BadCapture, MissingImageIsNamed) {
   const Damaged damaged;
   const fs::path photo = damaged.firstPhoto();
   fs::remove(photo);
-  damaged.expectRefused({photo.filename(), "check the path"});
+  damaged.expectRefused({photo.string(), "transforms.json: /frames/0/file_path", "check the path"});
+  expectMessage(run({"export", damaged.capture, "--format", "colmap", "-o", damaged.folder / "colmap"}), 3,
+                {photo.string(), "transforms.json: /frames/0/file_path"});
+}
+
+TEST(BadCapture, MissingMaskIsNamed) {
+  const Damaged damaged;
+  const fs::path mask = damaged.firstMask();
+  fs::remove(mask);
+  damaged.expectRefused({mask.string(), "transforms.json: /frames/0/mask_path", "check the path"});
+}
+
+TEST(BadCapture, AMissingPhotographThatAloneTellsTheSizeIsNamed) {
+  const Damaged damaged;
+  Json json = damaged.transforms();
+  json.erase("w");
+  damaged.setTransforms(json);
+  fs::remove(damaged.firstPhoto());
+  damaged.expectRefused({damaged.firstPhoto().string(), "transforms.json: /frames/0/file_path"});
 }
 
 TEST(BadCapture, TruncatedImageIsNamed) {
