@@ -92,7 +92,8 @@ void checkMasks(const Capture& capture, int factor, std::vector<KeptMask>& kept,
   });
   for (std::size_t i = 0; i < with.size(); ++i)
     if (!facts[i].fault.empty())
-      section.fault(capture.views[with[i]].mask_file.string(), facts[i].fault, facts[i].mend);
+      section.fault(capture.views[with[i]].mask_file.string(),
+                    withPlace(facts[i].fault, capture.views[with[i]].mask_place), facts[i].mend);
   if (!with.empty())
     for (const std::size_t v : without)
       section.warn(capture.views[v].name, "has no mask, while other views have one",

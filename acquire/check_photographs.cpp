@@ -159,7 +159,8 @@ void reportFiles(const Capture& capture, const AllPhotos& photos, CheckReport& r
   for (std::size_t v = 0; v < photos.facts.size(); ++v)
     for (std::size_t p = 0; p < photos.facts[v].size(); ++p, ++files)
       if (!photos.facts[v][p].fault.empty())
-        section.fault(capture.views[v].photos[p].file.string(), photos.facts[v][p].fault,
+        section.fault(capture.views[v].photos[p].file.string(),
+                      withPlace(photos.facts[v][p].fault, capture.views[v].photos[p].place),
                       "put the whole photograph there, at the size that was calibrated");
   section.finish(counted(files, "file") + ", whole and of the cameras' size");
 }

@@ -19,6 +19,10 @@ std::string wordsWithout(const std::string& file, const Error& error) {
   return words.starts_with(file + ": ") ? words.substr(file.size() + 2) : words;
 }
 
+std::string withPlace(const std::string& fault, const std::string& place) {
+  return place.empty() ? fault : fault + " (" + place + ")";
+}
+
 void Section::add(Verdict verdict, const std::string& file, const std::string& found, const std::string& mend) {
   clean_ = false;
   std::vector<std::string>& rows = rows_[{verdict, mend}];

@@ -15,6 +15,8 @@ std::string counted(std::size_t n, const std::string& noun);  ///< "1 view", "3 
 
 /// The words of an error that names `file`, without the name.
 std::string wordsWithout(const std::string& file, const Error& error);
+/// What is wrong with a file, and which place of transforms.json names it.
+std::string withPlace(const std::string& fault, const std::string& place);
 
 /// The rows of one thing that was looked at; says "ok" where nothing was found.
 class Section {

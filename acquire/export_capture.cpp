@@ -563,6 +563,7 @@ void exportCapture(const std::string& format, const Capture& capture, const fs::
       reporter.warn("the colour space, " + capture.color_space + ", is lost: " + format + " names none");
   }
   if (format == "transforms") return writeCapture(folder, capture);
+  for (const CaptureView& view : capture.views) requireFiles(view);
   if (format == "nrhints") return exportNrhints(capture, folder, reporter);
   if (format == "colmap" || format == "colmap-binary") return exportColmap(format, capture, folder, reporter);
   if (format == "middlebury") return exportMiddlebury(capture, folder, reporter);

@@ -5,6 +5,7 @@
 #include <span>
 
 #include "base/error.h"
+#include "field/capture_file.h"
 #include "field/reflectance_store.h"
 
 namespace srf {
@@ -360,6 +361,7 @@ std::size_t leastRegistrationMemory(const CaptureView& view) {
 
 void checkPhotographs(const Capture& capture, ViewId id) {
   const CaptureView& view = capture.views[id.value];
+  requireFiles(view);
   for (const Photo& photo : view.photos) {
     const ImageSize size = readImageSize(photo.file);
     if (size.width != view.camera.lens.width || size.height != view.camera.lens.height)

@@ -53,12 +53,14 @@ struct CaptureLight {
 struct Photo {
   std::filesystem::path file;    ///< absolute, or relative to the working directory
   std::optional<LightId> light;  ///< none: the photograph gives its silhouette alone
+  std::string place{};           ///< "transforms.json: /frames/3/file_path"; empty where no such file names it
 };
 
 struct CaptureView {
   std::string name;
   Camera<AcquisitionSpace> camera;
   std::filesystem::path mask_file;  ///< empty where the capture has none: alpha or a plain background then tell
+  std::string mask_place{};         ///< as Photo::place
   std::vector<Photo> photos;
 };
 

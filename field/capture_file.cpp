@@ -49,6 +49,12 @@ fs::path photoFile(const fs::path& folder, const JsonNode& node) {
   throw node.error("names '" + file.string() + "', which is missing with .png, .jpg and .exr too; mend the path");
 }
 
+void requireFile(const fs::path& file, const std::string& place) {
+  if (fs::exists(file)) return;
+  if (place.empty()) throw badInput(file.string(), "does not exist; check the path");
+  throw badInput(place, "names '" + file.string() + "', which does not exist; check the path");
+}
+
 // A camera as numbers that can be compared and ordered.
 using CameraKey = std::array<double, 27>;
 CameraKey cameraKey(const Camera<AcquisitionSpace>& camera) {
@@ -189,10 +195,13 @@ class Reader {
 
   void readFrame(const JsonNode& frame) {
     const JsonNode path = frame["file_path"];
-    const Photo photo{photoFile(folder_, path), frameLight(frame)};
+    const Photo photo{photoFile(folder_, path), frameLight(frame), path.where()};
     Camera<AcquisitionSpace> camera;
     camera.pose = readPose(frame["transform_matrix"]);
-    camera.lens = readLens({frame, root_}, [&] { return readImageSize(photo.file); });
+    camera.lens = readLens({frame, root_}, [&] {
+      requireFile(photo.file, photo.place);
+      return readImageSize(photo.file);
+    });
 
     const std::size_t index = viewOf(frame, camera, path);
     CaptureView& view = capture_.views[index];
@@ -201,6 +210,7 @@ class Reader {
       if (!view.mask_file.empty() && view.mask_file != file)
         throw mask->error("is another mask than '" + view.mask_file.string() +
                           "' of the same view; give a view one mask");
+      if (view.mask_file.empty()) view.mask_place = mask->where();
       view.mask_file = file;
     }
     if (photo.light) {
@@ -253,6 +263,11 @@ class Reader {
 Capture readCapture(const fs::path& folder_or_file) {
   const fs::path file = fs::is_directory(folder_or_file) ? folder_or_file / "transforms.json" : folder_or_file;
   return Reader(file, readJsonFile(file)).read();
+}
+
+void requireFiles(const CaptureView& view) {
+  for (const Photo& photo : view.photos) requireFile(photo.file, photo.place);
+  if (!view.mask_file.empty()) requireFile(view.mask_file, view.mask_place);
 }
 
 void writeCapture(const fs::path& folder, const Capture& capture) {

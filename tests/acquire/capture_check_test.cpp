@@ -116,6 +116,9 @@ TEST(CaptureCheck, EveryFaultyFileIsNamedNotTheFirstAlone) {
   EXPECT_TRUE(row(report, Verdict::fault, "masks", "fills the whole picture"));
   EXPECT_TRUE(row(report, Verdict::fault, "masks", "invert it"));
   EXPECT_TRUE(row(report, Verdict::fault, "masks", "v7.png"));
+  EXPECT_TRUE(row(report, Verdict::fault, "photographs", "does not exist; check the path ("));
+  EXPECT_TRUE(row(report, Verdict::fault, "photographs", "transforms.json: /frames/8/file_path")) << shown(report);
+  EXPECT_TRUE(row(report, Verdict::fault, "masks", "transforms.json: /frames/21/mask_path")) << shown(report);
   // The views that are whole are still compared.
   EXPECT_TRUE(row(report, Verdict::ok, "silhouettes agree", "IoU")) << shown(report);
 }
