@@ -11,8 +11,7 @@ namespace srf {
 
 enum class KeyInterpolation { linear, step, cubic };
 
-/// A value of type T (double, Vec3, or std::vector<Vec3> of constant size through its components) over frames. Before
-/// the first and after the last key the value holds.
+/// A value of type T over frames. Before the first and after the last key the value holds.
 template <class T>
 class Animated {
  public:
@@ -51,7 +50,29 @@ class Animated {
   KeyInterpolation interpolation_ = KeyInterpolation::linear;
 };
 
-/// Reads a number, or the animated form of one. Keys must rise strictly.
+/// Reads a value, or the animated form of one: `read_value` takes a node to its T. Keys must rise strictly.
+template <class T, class ReadValue>
+Animated<T> readAnimated(const JsonNode& node, const ReadValue& read_value) {
+  if (!node.isObject()) return Animated<T>(read_value(node));
+  node.onlyKeys({"keys", "interpolation"});
+  const JsonNode list = node["keys"];
+  if (list.size() == 0) throw list.error("has no keys, expected at least one [frame, value]");
+  std::vector<std::pair<double, T>> keys;
+  for (std::size_t i = 0; i < list.size(); ++i) {
+    const JsonNode key = list.at(i);
+    if (key.size() != 2) throw key.error("has " + std::to_string(key.size()) + " entries, expected [frame, value]");
+    const double frame = key.at(0).number();
+    if (!keys.empty() && !(frame > keys.back().first))
+      throw key.at(0).error("is not after the key before it; sort the keys by frame");
+    keys.emplace_back(frame, read_value(key.at(1)));
+  }
+  auto interpolation = KeyInterpolation::linear;
+  if (const auto word = node.find("interpolation"))
+    interpolation = static_cast<KeyInterpolation>(word->choice({"linear", "step", "cubic"}));
+  return {std::move(keys), interpolation};
+}
+
+/// Reads a number, or the animated form of one.
 Animated<double> readAnimatedNumber(const JsonNode& node);
 /// Reads [x, y, z], or the animated form of it.
 Animated<Vec3> readAnimatedVec3(const JsonNode& node);

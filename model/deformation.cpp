@@ -328,6 +328,28 @@ class Parameters {
   Animated<Vec3> vec3(const JsonNode& node) { return remember(readAnimatedVec3(node)); }
   Animated<double> number(const char* key) { return number(node_[key]); }
   Animated<Vec3> vec3(const char* key) { return vec3(node_[key]); }
+  /// The parts of a list: each may be animated, or the list as a whole. `nodes_of` takes a list without keys to the
+  /// nodes of its parts, `part` reads one.
+  template <class T, class NodesOf, class Part>
+  std::vector<Animated<T>> list(const JsonNode& node, const NodesOf& nodes_of, const Part& part) {
+    std::vector<Animated<T>> parts;
+    if (!node.isObject()) {
+      for (const JsonNode& one : nodes_of(node)) parts.push_back(remember(readAnimated<T>(one, part)));
+      return parts;
+    }
+    const auto whole = readAnimated<std::vector<T>>(node, [&](const JsonNode& value) {
+      std::vector<T> values;
+      for (const JsonNode& one : nodes_of(value)) values.push_back(part(one));
+      return values;
+    });
+    remember(whole);
+    for (std::size_t i = 0; i < whole.keys().front().second.size(); ++i) {
+      std::vector<std::pair<double, T>> keys;
+      for (const auto& [frame, values] : whole.keys()) keys.emplace_back(frame, values[i]);
+      parts.emplace_back(std::move(keys), whole.interpolation());
+    }
+    return parts;
+  }
   Animated<Vec3> origin() { return node_.has("origin") ? vec3("origin") : Animated<Vec3>(Vec3{}); }
   const JsonNode& node() const { return node_; }
 
@@ -359,26 +381,35 @@ Vec3 unit(const Animated<Vec3>& value, double frame, const JsonNode& node, const
   return direction->raw();
 }
 
+double readNumber(const JsonNode& node) {
+  return node.number();
+}
+
 MakeMap parseAffine(Parameters& in) {
   const JsonNode node = in.node();
   node.onlyKeys({"type", "matrix"});
   const JsonNode matrix = node["matrix"];
-  if (matrix.size() != 4) throw matrix.error("has " + std::to_string(matrix.size()) + " rows, expected 4");
-  std::array<std::array<Animated<double>, 4>, 4> entries;
-  for (int i = 0; i < 4; ++i) {
-    const JsonNode row = matrix.at(i);
-    if (row.size() != 4) throw row.error("has " + std::to_string(row.size()) + " numbers, expected 4");
-    for (int j = 0; j < 4; ++j) entries[i][j] = i < 3 ? in.number(row.at(j)) : Animated<double>(row.at(j).number());
-  }
-  for (int j = 0; j < 4; ++j)
-    if (entries[3][j].at(0) != (j == 3)) throw matrix.at(3).error("expected the last row 0 0 0 1");
-  return [entries, matrix](double frame) -> MapPointer {
+  const auto entriesOf = [](const JsonNode& rows) {
+    if (rows.size() != 4) throw rows.error("has " + std::to_string(rows.size()) + " rows, expected 4");
+    std::vector<JsonNode> entries;
+    for (std::size_t i = 0; i < 4; ++i) {
+      const JsonNode row = rows.at(i);
+      if (row.size() != 4) throw row.error("has " + std::to_string(row.size()) + " numbers, expected 4");
+      for (std::size_t j = 0; j < 4; ++j)
+        if (i < 3)
+          entries.push_back(row.at(j));
+        else if (row.at(j).number() != (j == 3))
+          throw row.error("expected the last row 0 0 0 1");
+    }
+    return entries;
+  };
+  return [entries = in.list<double>(matrix, entriesOf, readNumber), matrix](double frame) -> MapPointer {
     Mat3 linear;
     Vec3 translation;
     double rows = 1;
     for (int i = 0; i < 3; ++i) {
-      for (int j = 0; j < 3; ++j) linear.row[i][j] = entries[i][j].at(frame);
-      translation[i] = entries[i][3].at(frame);
+      for (int j = 0; j < 3; ++j) linear.row[i][j] = entries[4 * i + j].at(frame);
+      translation[i] = entries[4 * i + 3].at(frame);
       rows *= length(linear.row[i]);
     }
     // Against the product of the rows' lengths a strong squeeze stays legal, while dependent rows leave rounding alone.
@@ -409,8 +440,14 @@ MakeMap parseBend(Parameters& in) {
   node.onlyKeys({"type", "origin", "axis", "toward", "degrees_per_unit", "range"});
   Animated<double> low(-kInfinity), high(kInfinity);
   if (const auto range = node.find("range")) {
-    if (range->size() != 2) throw range->error("has " + std::to_string(range->size()) + " numbers, expected [lo, hi]");
-    low = in.number(range->at(0)), high = in.number(range->at(1));
+    const auto ends = in.list<double>(
+        *range,
+        [](const JsonNode& pair) {
+          if (pair.size() != 2) throw pair.error("has " + std::to_string(pair.size()) + " numbers, expected [lo, hi]");
+          return std::vector{pair.at(0), pair.at(1)};
+        },
+        readNumber);
+    low = ends[0], high = ends[1];
   }
   return [node, low, high, origin = in.origin(), axis = in.vec3("axis"), toward = in.vec3("toward"),
           k = in.number("degrees_per_unit")](double frame) {
@@ -442,16 +479,20 @@ MakeMap parseWave(Parameters& in) {
 MakeMap parseFfd(Parameters& in) {
   const JsonNode node = in.node();
   node.onlyKeys({"type", "min", "max", "resolution", "points"});
-  const JsonNode counts = node["resolution"], list = node["points"];
+  const JsonNode counts = node["resolution"];
   if (counts.size() != 3) throw counts.error("has " + std::to_string(counts.size()) + " numbers, expected [l, m, n]");
   std::array<int, 3> resolution;
   std::size_t expected = 1;
   for (int a = 0; a < 3; ++a) expected *= resolution[a] = static_cast<int>(counts.at(a).integer(2, kMostLatticePoints));
-  if (list.size() != expected)
-    throw list.error("has " + std::to_string(list.size()) + " points, expected the " + std::to_string(expected) +
-                     " of the resolution (x fastest)");
-  std::vector<Animated<Vec3>> points;
-  for (std::size_t i = 0; i < expected; ++i) points.push_back(in.vec3(list.at(i)));
+  const auto pointsOf = [expected](const JsonNode& list) {
+    if (list.size() != expected)
+      throw list.error("has " + std::to_string(list.size()) + " points, expected the " + std::to_string(expected) +
+                       " of the resolution (x fastest)");
+    std::vector<JsonNode> points;
+    for (std::size_t i = 0; i < expected; ++i) points.push_back(list.at(i));
+    return points;
+  };
+  const auto points = in.list<Vec3>(node["points"], pointsOf, [](const JsonNode& point) { return point.vec3(); });
   return [node, resolution, points, low = in.vec3("min"), high = in.vec3("max")](double frame) {
     const Vec3 min = low.at(frame), max = high.at(frame);
     for (int a = 0; a < 3; ++a)

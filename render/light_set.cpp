@@ -280,6 +280,7 @@ LightId findCaptured(const CapturedLight& wanted, const SrfManifest& field, cons
 }  // namespace
 
 LightSet::LightSet(const Scene& scene, const SrfManifest& field, Reporter& reporter) : scene_(scene) {
+  if (scene.lights.empty()) reporter.warn(scene.file.string() + ": /lights: is empty: the object will be black");
   for (std::size_t i = 0; i < scene.lights.size(); ++i) {
     if (const auto* captured = std::get_if<CapturedLight>(&scene.lights[i])) {
       captured_.push_back(findCaptured(*captured, field, placeOf(scene, i)));

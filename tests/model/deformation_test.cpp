@@ -274,6 +274,31 @@ TEST(Deformation, KeysAnimateEveryParameter) {
   expectNear(affine.at(1).map(Point<AcquisitionSpace>(1, 1, 1)).raw(), {3, 1, 1}, 0);
 }
 
+TEST(Deformation, KeysAnimateAListAsAWhole) {
+  const AnimatedDeformation affine = parse(R"([{"type": "affine", "matrix": {"interpolation": "linear", "keys": [
+      [0, [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]], [4, [[1,0,0,8],[0,3,0,0],[0,0,1,0],[0,0,0,1]]]]}}])");
+  EXPECT_FALSE(affine.constant());
+  expectNear(affine.at(1).map(Point<AcquisitionSpace>(1, 1, 1)).raw(), {3, 1.5, 1}, 0);
+  const auto bend = [](const std::string& range) {
+    return parse(R"([{"type": "bend", "axis": [0,0,1], "toward": [1,0,0], "degrees_per_unit": 40, "range": )" + range +
+                 "}]");
+  };
+  const Point<AcquisitionSpace> p(0.1, 0.2, 0.7);
+  expectNear(bend(R"({"keys": [[0, [0, 0.2]], [2, [0.2, 0.6]]]})").at(1).map(p).raw(),
+             bend("[0.1, 0.4]").at(0).map(p).raw(), 1e-15);
+  const auto lattice = [](const std::string& points) {
+    return parse(R"([{"type": "ffd", "min": [0,0,0], "max": [1,1,1], "resolution": [2,2,2], "points": )" + points +
+                 "}]");
+  };
+  const std::string rest = "[[0,0,0],[1,0,0],[0,1,0],[1,1,0],[0,0,1],[1,0,1],[0,1,1],[1,1,1]]",
+                    moved = "[[0,0,0],[1,0,0],[0,1,0],[1,1,0],[0,0,3],[1,0,3],[0,1,3],[1,1,3]]";
+  expectNear(lattice(R"({"keys": [[0, )" + rest + "], [2, " + moved + "]]}").at(1).map(p).raw(), {0.1, 0.2, 1.4},
+             1e-15);
+  EXPECT_NE(errorOf(R"([{"type": "affine", "matrix": {"keys": [[0, [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,2]]]]}}])")
+                .find("/0/matrix/keys/0/1/3"),
+            std::string::npos);
+}
+
 TEST(Deformation, BadParametersAreNamed) {
   const auto expect = [](const std::string& list, const std::string& place, const std::string& reason) {
     const std::string error = errorOf(list);

@@ -288,6 +288,14 @@ TEST(LightSet, RefusesADirectionThatVanishesBetweenKeys) {
   EXPECT_NE(refusal(scene, kField).find("/lights/0/direction"), std::string::npos);
 }
 
+TEST(LightSet, WarnsOfASceneWithoutALight) {
+  Reporter reporter(ProgressMode::none, LogLevel::error);
+  const Scene dark = sceneWith({});
+  EXPECT_TRUE(LightSet(dark, kField, reporter).at(0).distant.empty());
+  ASSERT_EQ(reporter.warnings().size(), 1u);
+  EXPECT_NE(reporter.warnings()[0].find("scene.json: /lights: is empty"), std::string::npos);
+}
+
 TEST(LightSet, WarnsOfUnusableTexels) {
   const test::TemporaryFolder folder;
   ImageF map(8, 4, 3, 1.f);
