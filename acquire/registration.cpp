@@ -138,6 +138,9 @@ class Registration {
         reporter_(reporter) {
     for (const Photo& photo : view_.photos)
       if (photo.light) photos_.push_back(&photo);
+    // In the order of the lights, whatever that of the frames: views under the same lights then share one list of them,
+    // which the fit needs to foretell one view by the others and a frame needs to weigh its lights once for all.
+    std::sort(photos_.begin(), photos_.end(), [](const Photo* a, const Photo* b) { return *a->light < *b->light; });
   }
 
   StoredView run(const fs::path& srf_folder) {

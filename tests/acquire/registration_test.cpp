@@ -253,6 +253,16 @@ TEST_F(RegistrationTest, RejectsAPhotographOfAnotherSizeNamingBoth) {
     }
 }
 
+TEST_F(RegistrationTest, TheOrderOfTheFramesChangesNothing) {
+  const StoredView first = registered(0);
+  auto& photos = capture_.views[0].photos;
+  std::reverse(photos.begin(), photos.end());
+  const StoredView again = registered(0);
+  EXPECT_EQ(again.lights, (std::vector<LightId>{{0}, {1}, {2}}));
+  EXPECT_EQ(again.file, first.file);
+  EXPECT_EQ(again.hash, first.hash);
+}
+
 TEST_F(RegistrationTest, AFinishedViewIsTakenAndAChangedOneIsNot) {
   const StoredView first = registered(0);
   const auto time = fs::last_write_time(folder_ / first.file);
