@@ -36,6 +36,20 @@ ImageSize shownSize(const OIIO::ImageInput& input) {
   return isCropped(input) ? ImageSize{s.full_width, s.full_height} : ImageSize{s.width, s.height};
 }
 
+// Of an EXR of several parts the first that has colours, else the first that is grey, else the first: renderers put
+// depth or identifiers into parts of their own, before the picture too.
+void seekPicture(OIIO::ImageInput& input) {
+  if (std::string_view(input.format_name()) != "openexr") return;
+  int grey = 0;
+  for (int part = 0; input.seek_subimage(part, 0); ++part) {
+    const OIIO::ImageSpec& spec = input.spec();
+    if (spec.channelindex("R") >= 0 && spec.channelindex("G") >= 0 && spec.channelindex("B") >= 0) return;
+    if (grey == 0 && spec.channelindex("Y") >= 0) grey = part;
+  }
+  input.geterror();  // there is no further part
+  input.seek_subimage(grey, 0);
+}
+
 std::unique_ptr<OIIO::ImageInput> openInput(const std::filesystem::path& file,
                                             OIIO::ImageSpec as_stored = OIIO::ImageSpec()) {
   if (!std::filesystem::exists(file)) throw badInput(file.string(), "does not exist; check the path");
@@ -45,6 +59,7 @@ std::unique_ptr<OIIO::ImageInput> openInput(const std::filesystem::path& file,
   if (!input)
     throw badInput(file.string(), "could not be read as an image (" + OIIO::geterror() +
                                       "); expected EXR, HDR, PNG, TIFF or JPEG that is whole");
+  seekPicture(*input);
   const OIIO::ImageSpec& spec = input->spec();
   for (const auto& [width, height] : {ImageSize{spec.width, spec.height}, shownSize(*input)})
     if (width < 1 || height < 1 || width > 65536 || height > 65536 || spec.depth > 1)
@@ -149,7 +164,7 @@ LoadedImage readImage(const std::filesystem::path& file, Transfer integer_transf
   const bool decode = !image.is_float && integer_transfer == Transfer::srgb;
   const bool straight = image.has_alpha && spec.get_int_attribute("oiio:UnassociatedAlpha") != 0;
   const auto readInto = [&](std::vector<float>& to, int first, int end) {
-    if (!input->read_image(0, 0, first, end, OIIO::TypeDesc::FLOAT, to.data()))
+    if (!input->read_image(input->current_subimage(), 0, first, end, OIIO::TypeDesc::FLOAT, to.data()))
       throw badInput(file.string(), "ends early or is damaged (" + input->geterror() + "); copy it again");
   };
   bool in_order = true;
@@ -216,7 +231,7 @@ Photograph readPhotograph(const std::filesystem::path& file, const std::optional
   std::vector<int> order = colourChannels(file, spec);
   if (order.size() == 4) order.pop_back();
   std::vector<float> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels);
-  if (!input->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, all.data()))
+  if (!input->read_image(input->current_subimage(), 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, all.data()))
     throw badInput(file.string(), "ends early or is damaged (" + input->geterror() + "); copy it again");
   photo.bits = static_cast<int>(spec.format.size() * 8);
   photo.is_linear = photo.is_raw || spec.format.is_floating_point();

@@ -2,7 +2,10 @@
 #include <OpenEXR/ImfChannelList.h>
 #include <OpenEXR/ImfFrameBuffer.h>
 #include <OpenEXR/ImfHeader.h>
+#include <OpenEXR/ImfMultiPartOutputFile.h>
 #include <OpenEXR/ImfOutputFile.h>
+#include <OpenEXR/ImfOutputPart.h>
+#include <OpenEXR/ImfPartType.h>
 #include <OpenEXR/ImfRgbaFile.h>
 #include <gtest/gtest.h>
 
@@ -233,6 +236,37 @@ TEST(Photograph, OfSeveralLayersTheUnnamedOneIsThePicture) {
   } catch (const Error& e) {
     EXPECT_NE(std::string(e.what()).find("AO, Combined"), std::string::npos) << e.what();
   }
+}
+
+TEST(Photograph, OfSeveralPartsTheOneWithColoursIsThePicture) {
+  const test::TemporaryFolder folder;
+  using Names = std::vector<std::string>;
+  const auto write = [&](const std::vector<Names>& parts) {
+    std::vector<Imf::Header> headers;
+    for (std::size_t p = 0; p < parts.size(); ++p) {
+      headers.emplace_back(1, 1);
+      headers.back().setName("part" + std::to_string(p));
+      headers.back().setType(Imf::SCANLINEIMAGE);
+      for (const std::string& name : parts[p]) headers.back().channels().insert(name, Imf::Channel(Imf::FLOAT));
+    }
+    Imf::MultiPartOutputFile file((folder / "parts.exr").c_str(), headers.data(), static_cast<int>(headers.size()));
+    for (std::size_t p = 0; p < parts.size(); ++p) {
+      std::vector<float> values;
+      for (std::size_t c = 0; c < parts[p].size(); ++c) values.push_back(static_cast<float>(10 * p + c));
+      Imf::FrameBuffer buffer;
+      for (std::size_t c = 0; c < parts[p].size(); ++c)
+        buffer.insert(parts[p][c], Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(&values[c]), 4, 4));
+      Imf::OutputPart part(file, static_cast<int>(p));
+      part.setFrameBuffer(buffer);
+      part.writePixels(1);
+    }
+    return folder / "parts.exr";
+  };
+  const auto colour = write({{"Z"}, {"Y"}, {"B", "G", "R"}, {"B", "G", "R"}});
+  EXPECT_EQ(readImage(colour).pixels.data(), (std::vector<float>{22, 21, 20}));
+  EXPECT_EQ(readPhotograph(colour).pixels.data(), (std::vector<float>{22, 21, 20}));
+  EXPECT_EQ(readImage(write({{"Z"}, {"Y"}})).pixels.data(), std::vector<float>{10});
+  EXPECT_EQ(readImage(write({{"B", "G", "R"}, {"Y"}})).pixels.data(), (std::vector<float>{2, 1, 0}));
 }
 
 TEST(Photograph, ChannelsThatAreNoPictureAreRefused) {
