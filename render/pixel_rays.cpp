@@ -5,9 +5,13 @@
 #include <cstdint>
 #include <numeric>
 
+#include "base/numeric.h"
+
 namespace srf {
 
-std::vector<Vec2> samplePattern(int samples) {
+namespace {
+
+std::vector<Vec2> evenPattern(int samples) {
   std::vector<Vec2> pattern;
   const int side = static_cast<int>(std::lround(std::sqrt(samples)));
   if (side * side == samples) {
@@ -21,6 +25,17 @@ std::vector<Vec2> samplePattern(int samples) {
   while (std::gcd(step, samples) != 1) ++step;
   for (int i = 0; i < samples; ++i)
     pattern.push_back({(i * static_cast<std::int64_t>(step) % samples + 0.5) / samples, (i + 0.5) / samples});
+  return pattern;
+}
+
+}  // namespace
+
+std::vector<Vec2> samplePattern(int samples) {
+  std::vector<Vec2> pattern = evenPattern(samples);
+  const auto from_middle = [](const Vec2& at) { return square(at.x - 0.5) + square(at.y - 0.5); };
+  std::iter_swap(pattern.begin(), std::min_element(pattern.begin(), pattern.end(), [&](const Vec2& a, const Vec2& b) {
+                   return from_middle(a) < from_middle(b);
+                 }));
   return pattern;
 }
 

@@ -26,6 +26,7 @@ inline std::uint8_t placeInBlock(std::uint32_t pixel, std::uint32_t width) {
 inline constexpr int kPieceRays = 16 * kBlockPixels;
 
 /// Where the samples of a pixel lie in it, about its middle: a regular grid for square numbers, else a rank-1 lattice.
+/// The one nearest to the middle comes first: layers show the first that meets the surface.
 std::vector<Vec2> samplePattern(int samples);
 
 /// Rays through pixels, those of a pixel one after the other.

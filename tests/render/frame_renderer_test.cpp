@@ -253,6 +253,33 @@ TEST_F(FrameRendererTest, LayersShowTheLookUp) {
   EXPECT_TRUE(render({}).layers.empty());
 }
 
+TEST_F(FrameRendererTest, LayersShowTheSampleNearestToThePixelsMiddle) {
+  const auto nearest = [](int samples) {
+    const Vec2 first = samplePattern(samples)[0];
+    return std::hypot(first.x - 0.5, first.y - 0.5);
+  };
+  EXPECT_NEAR(nearest(9), 0, 1e-15);
+  EXPECT_NEAR(nearest(4), std::sqrt(0.125), 1e-15);  // all four lie there
+  EXPECT_NEAR(nearest(16), std::sqrt(1 / 32.0), 1e-15);
+  for (const int samples : {2, 3, 5, 6, 7, 8, 10, 12, 20})
+    for (const Vec2& at : samplePattern(samples))
+      EXPECT_LE(nearest(samples), std::hypot(at.x - 0.5, at.y - 0.5)) << samples;
+  FrameSettings settings;
+  settings.layers = {"P"};
+  const Frame one = render(settings);
+  settings.samples = 9;
+  const Frame nine = render(settings);
+  int inside = 0;
+  for (int y = 0; y < 40; ++y)
+    for (int x = 0; x < 40; ++x) {
+      if (!(one.rgba.at(x, y, 3) > 0)) continue;
+      ++inside;
+      for (const char* channel : {"P.X", "P.Y", "P.Z"})
+        EXPECT_EQ(nine.layers.at(channel).at(x, y), one.layers.at(channel).at(x, y));
+    }
+  EXPECT_GT(inside, 300);
+}
+
 /// Leaves points where they are and carries every tangent onto one line.
 class FlatteningJacobian final : public SpaceMap {
  public:
