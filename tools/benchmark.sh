@@ -74,8 +74,8 @@ fi
   row "1024 x 1024 pixels" --set /camera/w=1024 --set /camera/h=1024
   row "1024 x 1024, preview" --set /camera/w=1024 --set /camera/h=1024 "${preview[@]}" "${exact[@]}"
   row "one thread" --threads 1
-  for rays in 0 8 32 256; do
-    row "guided, $rays shadow rays a hit" "${guided[@]}" --set /accuracy/shadow_rays=$rays --repeats 5
+  for rays in 0 4 8 32 256; do
+    row "guided, $rays shadow rays a hit" "${guided[@]}" --set /accuracy/shadow_rays=$rays --repeats 5 --exact /accuracy/shadow_rays=256
   done
   row "guided, 8 shadow rays a hit, sparse" "${guided[@]}" --set /accuracy/shadow_rays=8 "${sparse[@]}" --repeats 5 "${exact[@]}"
   sun=(--set '/lights=[{"type":"directional","direction":[-0.3,-0.5,0.8],"irradiance":[3,3,3]}]')
