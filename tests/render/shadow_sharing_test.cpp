@@ -7,6 +7,7 @@
 #include <set>
 
 #include "base/numeric.h"
+#include "base/parallel.h"
 #include "model/deformation.h"
 #include "render/frame_renderer.h"
 #include "render/light_clusters.h"
@@ -192,6 +193,18 @@ TEST_F(SharedShadowsTest, AFewRaysAHitAreEnoughForThousandsOfLights) {
   const double none = difference(picture(settings(0, 1), 3000), every);
   EXPECT_GT(none, 0.03);
   EXPECT_LT(difference(picture(settings(8, 1), 3000), every), 0.35 * none);
+}
+
+TEST_F(SharedShadowsTest, SameBitsForAnyNumberOfThreadsAndMemory) {
+  for (const int samples : {1, 9}) {
+    FrameSettings with = settings(6, samples);
+    const auto expected = picture(with, 300).data();
+    with.memory_bytes = 1 << 20;
+    EXPECT_EQ(picture(with, 300).data(), expected);
+    setThreadCount(1);
+    EXPECT_EQ(picture(settings(6, samples), 300).data(), expected);
+    setThreadCount(0);
+  }
 }
 
 TEST_F(SharedShadowsTest, AnExplainedPixelIsTheRenderedOneToTheBit) {
