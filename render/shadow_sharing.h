@@ -20,6 +20,9 @@ inline constexpr std::size_t kMostSharers = 16;  ///< hits of a group
 /// beside them.
 inline constexpr std::size_t kClustersOfARay = 32;
 
+/// A light that gives more than this of all that hits are given throws a shadow whose outline shows: each hit asks.
+inline constexpr float kStrongLight = 0.08f;
+
 /// A cell of the picture, by its place.
 struct ShadowCell {
   std::int32_t x = 0, y = 0;
@@ -48,9 +51,9 @@ struct SharedShadowRays {
   std::int32_t least_of_each = 0, least_of_quarter = 0;  ///< largestKeys' `about`, from one group to the next
 
   /// Chooses for a group of `sharers` hits with `most` rays each in the mean. `keys`: of each light, what it gives the
-  /// hits together; padded as largestKeys asks. A quarter of the rays, rounded up, goes to lights that each hit asks
-  /// after, and what those of the group's quarter leave. A hit alone, or hits under at most `most` lights, ask after
-  /// each for themselves.
+  /// hits together; padded as largestKeys asks. A quarter of the rays, rounded up, or more where more lights are
+  /// strong, goes to lights that each hit asks after, and what those of the group's quarter leave. A hit alone, or hits
+  /// under at most `most` lights, ask after each for themselves.
   void choose(std::span<const float> keys, unsigned quarter, std::size_t sharers, std::size_t most);
 };
 

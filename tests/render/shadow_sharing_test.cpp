@@ -49,6 +49,13 @@ TEST(SharedShadowRays, GoToTheBrightestAndToAQuarterOfTheOthersAndAreNotMore) {
       ASSERT_TRUE(asked.contains(k) || k % 4 != quarter || rays.once.empty() || keys[k] <= least_of_once);
     }
     for (const std::uint32_t light : asked) ASSERT_GT(keys[light], 0);
+    // Strong lights: a few that give most.
+    const std::size_t strong = 1 + random() % 5;
+    for (std::size_t i = 0; i < strong; ++i) keys[(7 * i + quarter) % lights] = static_cast<float>(lights);
+    rays.choose(keys, quarter, sharers, most);
+    ASSERT_LE(rays.each.size() * sharers + rays.once.size(), sharers * most);
+    for (std::size_t i = 0; i < strong && strong <= most; ++i)
+      ASSERT_TRUE(std::binary_search(rays.each.begin(), rays.each.end(), (7 * i + quarter) % lights));
   }
 }
 
