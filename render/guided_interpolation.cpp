@@ -82,6 +82,7 @@ GuidedLighting::GuidedLighting(const ReflectanceFit& fit, std::span<const std::u
       list_of_view_(list_of_view),
       options_(options),
       clusters_(clusterLights(lighting.lights().distant, kClustersOfARay * std::max(1, options.shadow_rays))),
+      near_clusters_(nearClusters(clusters_, kOneShadow)),
       distant_lanes_(paddedLanes(lighting.lights().distant.size())),
       cluster_lanes_(paddedLanes(clusters_.count())),
       near_lanes_(paddedLanes(lighting.lights().near_lights.size())),

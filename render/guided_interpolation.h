@@ -121,6 +121,8 @@ struct GuidedBlock {
   std::vector<float> cluster_keys;
   SharedShadowRays asked;
   std::vector<std::pair<std::uint32_t, std::uint32_t>> groups;  ///< first hit and end of those that tell each other
+  std::vector<SharedShadowRays::Alike> alike;                   ///< those of a group after those of the one before
+  std::vector<std::size_t> alike_end;                           ///< of each group
   struct Rays {
     std::vector<Ray<ObjectSpace>> ray;
     std::vector<double> far_distance;
@@ -203,6 +205,7 @@ class GuidedLighting {
   std::array<std::vector<float>, 3> irradiance_, direction_;  ///< of each distant light, object space
   std::vector<float> energy_;                                 ///< of each distant light
   LightClusters clusters_;                                    ///< of the distant lights, for shadow rays
+  NearClusters near_clusters_;                                ///< that throw one shadow
   std::size_t distant_lanes_, cluster_lanes_, near_lanes_;    ///< lights of the frame, padded for the kernels
   double offset_;                                             ///< of shadow rays along the normal, units
 };

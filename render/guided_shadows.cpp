@@ -34,7 +34,7 @@ void GuidedLighting::castShadows(GuidedBlock& block) const {
   const bool at_rest = options_.shadows == Shadows::captured;
   auto& wanted = block.rays_wanted;
   wanted.clear();
-  block.groups.clear();
+  block.groups.clear(), block.alike.clear(), block.alike_end.clear();
   std::vector<Point<ObjectSpace>> origins(block.hits.size());
   for (std::size_t h = 0; h < block.hits.size(); ++h) {
     const GuidedBlock::Hit& hit = block.hits[h];
@@ -121,10 +121,13 @@ void GuidedLighting::askTogether(GuidedBlock& block) const {
             std::accumulate(&block.keys[clusters_.first[c]], block.keys.data() + clusters_.first[c + 1], 0.f);
       keys = block.cluster_keys;
     }
-    block.asked.choose(keys, hit.query.cell.quarter(), end - first, static_cast<std::size_t>(options_.shadow_rays));
+    block.asked.choose(keys, clusters_, near_clusters_, hit.query.cell.quarter(), end - first,
+                       static_cast<std::size_t>(options_.shadow_rays));
     for (const std::uint32_t light : block.asked.each)
       for (std::size_t h = first; h < end; ++h)
         block.rays_wanted.push_back({light, static_cast<std::uint32_t>(h), static_cast<std::uint32_t>(h)});
+    for (const auto& [light, as] : block.asked.alike) block.alike.push_back({light, as});
+    block.alike_end.push_back(block.alike.size());
     const auto told = static_cast<std::uint32_t>(block.hits.size() + block.groups.size());
     block.groups.push_back({static_cast<std::uint32_t>(first), static_cast<std::uint32_t>(end)});
     std::size_t asker = first;
@@ -160,6 +163,9 @@ void GuidedLighting::tellEachOther(GuidedBlock& block) const {
   std::array<std::uint32_t, std::size_t{kCellsAlong} * kCellsAlong> first_group;
   first_group.fill(static_cast<std::uint32_t>(block.groups.size()));
   for (std::size_t g = block.groups.size(); g-- > 0;) {
+    for (std::size_t h = block.groups[g].first; h < block.groups[g].second; ++h)
+      for (std::size_t i = g > 0 ? block.alike_end[g - 1] : 0; i < block.alike_end[g]; ++i)
+        rowOf(h)[block.alike[i].light] = rowOf(h)[block.alike[i].as];
     first_group[place(cellOf(g))] = static_cast<std::uint32_t>(g);
     take(rowOf(hit_count + g), rowOf(block.groups[g].first), count);
   }

@@ -1,7 +1,10 @@
 #include "render/light_clusters.h"
 
 #include <algorithm>
+#include <cmath>
+#include <numeric>
 #include <queue>
+#include <utility>
 
 namespace srf {
 namespace {
@@ -92,6 +95,27 @@ LightClusters clusterLights(std::span<const DistantLight> lights, std::size_t mo
     for (std::size_t i = first; i < end && end - first > 1; ++i) sum += energyOf(lights[i]) * lights[i].direction.raw();
     result.direction.push_back(normalize(Vector<ObjectSpace>(sum)).value_or(lights[first].direction));
   }
+  return result;
+}
+
+NearClusters nearClusters(const LightClusters& clusters, double angle) {
+  // Along z, within a band.
+  std::vector<std::uint32_t> order(clusters.count());
+  std::iota(order.begin(), order.end(), 0u);
+  const auto at = [&](std::uint32_t c) -> const Vec3& { return clusters.direction[c].raw(); };
+  std::sort(order.begin(), order.end(),
+            [&](std::uint32_t a, std::uint32_t b) { return at(a).z != at(b).z ? at(a).z < at(b).z : a < b; });
+  const double band = 2 * std::sin(0.5 * angle), least = std::cos(angle);
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> pairs;
+  for (std::size_t i = 0; i < order.size(); ++i)
+    for (std::size_t j = i + 1; j < order.size() && at(order[j]).z - at(order[i]).z <= band; ++j)
+      if (dot(at(order[i]), at(order[j])) >= least)
+        pairs.emplace_back(order[i], order[j]), pairs.emplace_back(order[j], order[i]);
+  std::sort(pairs.begin(), pairs.end());
+  NearClusters result;
+  result.first.assign(clusters.count() + 1, 0);
+  for (const auto& [c, other] : pairs) ++result.first[c + 1], result.other.push_back(other);
+  std::partial_sum(result.first.begin(), result.first.end(), result.first.begin());
   return result;
 }
 

@@ -21,6 +21,15 @@ struct LightClusters {
   std::vector<Direction<ObjectSpace>> direction;  ///< of each cluster: the middle of its lights by their energy
   std::size_t count() const { return direction.size(); }
 };
+/// Of each cluster those within an angle of it, radians, but itself: cluster first[c] .. first[c + 1] - 1 of `other`.
+struct NearClusters {
+  std::vector<std::uint32_t> first, other;
+  std::span<const std::uint32_t> of(std::size_t cluster) const {
+    return std::span(other).subspan(first[cluster], first[cluster + 1] - first[cluster]);
+  }
+};
+NearClusters nearClusters(const LightClusters& clusters, double angle);
+
 /// At most `most` clusters, at least 1, of lights ordered by direction; each light for itself where there are no more.
 /// Cut in two again and again is the cluster of most energy times extent, so that strong lights stand by themselves.
 LightClusters clusterLights(std::span<const DistantLight> lights, std::size_t most);

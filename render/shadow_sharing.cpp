@@ -6,28 +6,64 @@
 #include "render/guided_kernels.h"
 
 namespace srf {
-void SharedShadowRays::choose(std::span<const float> keys, unsigned quarter, std::size_t sharers, std::size_t most) {
-  const auto largest = [&](std::span<const float> of, std::size_t count, std::int32_t& about,
-                           std::vector<std::uint32_t>& found) {
-    found.resize(of.size());
-    found.resize(largestKeys(of.data(), of.size(), count, found.data(), about));
+namespace {
+
+constexpr std::uint32_t kNone = 0xffffffff;
+
+void largest(std::span<const float> of, std::size_t count, std::int32_t& about, std::vector<std::uint32_t>& found) {
+  found.resize(of.size());
+  found.resize(largestKeys(of.data(), of.size(), count, found.data(), about));
+}
+
+}  // namespace
+
+void SharedShadowRays::chooseEach(std::span<const float> keys, const LightClusters& lights, const NearClusters& near,
+                                  std::size_t own) {
+  largest(keys, own, least_of_each_, each);
+  as_.assign(keys.size(), kNone);
+  const auto closeness = [&](std::uint32_t a, std::uint32_t b) {
+    return dot(lights.direction[a].raw(), lights.direction[b].raw());
   };
-  std::size_t own = most;
-  brightest.clear();
+  for (const std::uint32_t light : each)
+    for (const std::uint32_t other : near.of(light))
+      if (as_[other] == kNone || closeness(light, other) > closeness(as_[other], other)) as_[other] = light;
+  for (const std::uint32_t light : each) as_[light] = light;
+}
+
+void SharedShadowRays::choose(std::span<const float> keys, const LightClusters& lights, const NearClusters& near,
+                              unsigned quarter, std::size_t sharers, std::size_t most) {
+  once.clear(), alike.clear();
   const auto lit = static_cast<std::size_t>(std::count_if(keys.begin(), keys.end(), [](float key) { return key > 0; }));
-  if (sharers > 1 && lit > most) {
+  if (lit <= most) return largest(keys, most, least_of_each_, each);
+
+  std::size_t own = most;
+  if (sharers > 1) {
     const float strong = kStrongLight * std::accumulate(keys.begin(), keys.end(), 0.f);
-    const auto strong_count =
-        static_cast<std::size_t>(std::count_if(keys.begin(), keys.end(), [&](float key) { return key > strong; }));
-    const std::size_t least = (most + 3) / 4, for_each = std::max(least, std::min(strong_count, most));
-    of_quarter.assign(keys.size(), 0);
-    for (std::size_t k = quarter; k < keys.size(); k += 4) of_quarter[k] = keys[k];
-    largest(of_quarter, sharers * (most - for_each), least_of_quarter, brightest);
-    own -= (brightest.size() + sharers - 1) / sharers;
+    const std::size_t quarter_of_all = (most + 3) / 4;
+    std::size_t strong_count = 0;
+    for (std::uint32_t c = 0; c < lights.count(); ++c) {
+      if (!(keys[c] > 0)) continue;
+      float shadow = keys[c];
+      for (const std::uint32_t other : near.of(c)) shadow += keys[other];
+      strong_count += shadow > strong;
+    }
+    own = std::max(quarter_of_all, std::min(strong_count, most - quarter_of_all));
+    chooseEach(keys, lights, near, own);
+    rest_.assign(keys.size(), 0);
+    for (std::size_t k = quarter; k < keys.size(); k += 4)
+      if (as_[k] == kNone) rest_[k] = keys[k];
+    largest(rest_, sharers * (most - own), least_of_once_, once);
+    const std::size_t left = most - own - (once.size() + sharers - 1) / sharers;
+    own += left;
+    if (left > 0) {
+      chooseEach(keys, lights, near, own);
+      std::erase_if(once, [&](std::uint32_t light) { return as_[light] != kNone; });
+    }
+  } else {
+    chooseEach(keys, lights, near, own);
   }
-  largest(keys, own, least_of_each, each);
-  once.clear();
-  std::set_difference(brightest.begin(), brightest.end(), each.begin(), each.end(), std::back_inserter(once));
+  for (std::uint32_t k = 0; k < lights.count(); ++k)
+    if (as_[k] != kNone && as_[k] != k) alike.push_back({k, as_[k]});
 }
 
 }  // namespace srf

@@ -11,6 +11,8 @@
 #include <span>
 #include <vector>
 
+#include "render/light_clusters.h"
+
 namespace srf {
 
 inline constexpr std::size_t kMostSharers = 16;  ///< hits of a group
@@ -20,7 +22,10 @@ inline constexpr std::size_t kMostSharers = 16;  ///< hits of a group
 /// beside them.
 inline constexpr std::size_t kClustersOfARay = 32;
 
-/// A light that gives more than this of all that hits are given throws a shadow whose outline shows: each hit asks.
+/// Lights this near to each other, radians, throw one shadow: of one of them the other tells a hit more than its
+/// neighbours do.
+inline constexpr double kOneShadow = 0.045;
+/// A shadow's outline shows where more than this of all that hits are given is lost in it: each hit asks.
 inline constexpr float kStrongLight = 0.08f;
 
 /// A cell of the picture, by its place.
@@ -42,19 +47,30 @@ struct ShadowCell {
   }
 };
 
-/// The lights that a group asks after, and memory of choosing them. Positions rise.
-struct SharedShadowRays {
+/// The lights, or clusters of them, that a group asks after, and memory of choosing them. Positions rise.
+class SharedShadowRays {
+ public:
+  struct Alike {
+    std::uint32_t light, as;
+  };
   std::vector<std::uint32_t> each;  ///< every hit for itself
   std::vector<std::uint32_t> once;  ///< one hit for all
-  std::vector<std::uint32_t> brightest;
-  std::vector<float> of_quarter;
-  std::int32_t least_of_each = 0, least_of_quarter = 0;  ///< largestKeys' `about`, from one group to the next
+  std::vector<Alike> alike;         ///< hidden from a hit where the one of `each` is that they stand beside
 
   /// Chooses for a group of `sharers` hits with `most` rays each in the mean. `keys`: of each light, what it gives the
-  /// hits together; padded as largestKeys asks. A quarter of the rays, rounded up, or more where more lights are
-  /// strong, goes to lights that each hit asks after, and what those of the group's quarter leave. A hit alone, or hits
-  /// under at most `most` lights, ask after each for themselves.
-  void choose(std::span<const float> keys, unsigned quarter, std::size_t sharers, std::size_t most);
+  /// hits together; padded as largestKeys asks. `near`: those within kOneShadow. A quarter of the rays, rounded up, or
+  /// up to three where the light is strong, goes to lights that each hit asks after, and what those of the group's
+  /// quarter leave. A hit alone, or hits under at most `most` lights, ask after each for themselves.
+  void choose(std::span<const float> keys, const LightClusters& lights, const NearClusters& near, unsigned quarter,
+              std::size_t sharers, std::size_t most);
+
+ private:
+  /// Fills `each` and `as`.
+  void chooseEach(std::span<const float> keys, const LightClusters& lights, const NearClusters& near, std::size_t own);
+
+  std::vector<std::uint32_t> as_;                       ///< of each light: the one of `each` that it is, or is as
+  std::vector<float> rest_;                             ///< keys of what may be asked after once
+  std::int32_t least_of_each_ = 0, least_of_once_ = 0;  ///< largestKeys' `about`, from one group to the next
 };
 
 }  // namespace srf

@@ -18,6 +18,16 @@
 namespace srf {
 namespace {
 
+/// Lights all over the sphere, each a cluster.
+LightClusters spread(std::size_t count) {
+  LightClusters clusters;
+  for (std::size_t i = 0; i <= count; ++i) clusters.first.push_back(static_cast<std::uint32_t>(i));
+  for (std::size_t i = 0; i < count; ++i)
+    clusters.direction.push_back(
+        Direction<ObjectSpace>::fromUnit(test::fibonacci(static_cast<int>(i), static_cast<int>(count))));
+  return clusters;
+}
+
 TEST(SharedShadowRays, GoToTheBrightestAndToAQuarterOfTheOthersAndAreNotMore) {
   std::mt19937 random(3);
   SharedShadowRays rays;
@@ -27,7 +37,10 @@ TEST(SharedShadowRays, GoToTheBrightestAndToAQuarterOfTheOthersAndAreNotMore) {
     std::vector<float> keys(lights);
     for (float& key : keys) key = std::max(0.f, std::uniform_real_distribution<float>(-0.5f, 1)(random));
     const auto lit = static_cast<std::size_t>(std::count_if(keys.begin(), keys.end(), [](float k) { return k > 0; }));
-    rays.choose(keys, quarter, sharers, most);
+    const LightClusters clusters = spread(lights);
+    const NearClusters near = nearClusters(clusters, kOneShadow);
+    rays.choose(keys, clusters, near, quarter, sharers, most);
+    ASSERT_TRUE(rays.alike.empty());  // so far apart
     ASSERT_LE(rays.each.size() * sharers + rays.once.size(), sharers * most);
     ASSERT_GE(rays.each.size(), std::min(lit, (most + 3) / 4));
     if (sharers == 1 || lit <= most) {
@@ -52,11 +65,54 @@ TEST(SharedShadowRays, GoToTheBrightestAndToAQuarterOfTheOthersAndAreNotMore) {
     // Strong lights: a few that give most.
     const std::size_t strong = 1 + random() % 5;
     for (std::size_t i = 0; i < strong; ++i) keys[(7 * i + quarter) % lights] = static_cast<float>(lights);
-    rays.choose(keys, quarter, sharers, most);
+    rays.choose(keys, clusters, near, quarter, sharers, most);
     ASSERT_LE(rays.each.size() * sharers + rays.once.size(), sharers * most);
-    for (std::size_t i = 0; i < strong && strong <= most; ++i)
+    for (std::size_t i = 0; i < strong && (strong + (most + 3) / 4 <= most || (sharers == 1 && strong <= most)); ++i)
       ASSERT_TRUE(std::binary_search(rays.each.begin(), rays.each.end(), (7 * i + quarter) % lights));
   }
+}
+
+// A sun of thirty lights beside a sky: weak each, they throw one outline, which neighbours may not tell.
+TEST(SharedShadowRays, OfASunOfManyLightsEachHitAsksAfterAsManyAsItCanAndTakesTheOthersForAlike) {
+  LightClusters clusters = spread(192);
+  std::vector<float> keys(192, 1.f);
+  for (std::size_t i = 0; i < 30; ++i) {
+    const double around = 2.4 * static_cast<double>(i), away = radians(0.2) * std::sqrt(static_cast<double>(i));
+    clusters.direction[3 * i] = *normalize(Vector<ObjectSpace>(away * std::cos(around), away * std::sin(around), 1));
+    keys[3 * i] = 20 + static_cast<float>(i % 7);
+  }
+  const auto isSun = [](std::uint32_t light) { return light % 3 == 0 && light < 90; };
+  const NearClusters near = nearClusters(clusters, kOneShadow);
+  SharedShadowRays rays;
+  for (unsigned quarter = 0; quarter < 4; ++quarter) {
+    rays.choose(keys, clusters, near, quarter, 4, 8);
+    ASSERT_EQ(rays.each.size(), 6u);
+    EXPECT_TRUE(std::all_of(rays.each.begin(), rays.each.end(), isSun));
+    EXPECT_EQ(rays.once.size(), 8u);
+    EXPECT_TRUE(std::none_of(rays.once.begin(), rays.once.end(), isSun));
+    std::size_t suns_alike = 0;
+    for (const auto& [light, as] : rays.alike) {
+      suns_alike += isSun(light);
+      EXPECT_TRUE(std::binary_search(rays.each.begin(), rays.each.end(), as));
+      EXPECT_GT(dot(clusters.direction[light].raw(), clusters.direction[as].raw()), std::cos(kOneShadow) - 1e-12);
+    }
+    EXPECT_EQ(suns_alike, 24u);
+  }
+}
+
+TEST(LightClusters, NearOnesAreThoseWithinTheAngle) {
+  const LightClusters clusters = spread(400);
+  const double angle = radians(14);
+  const NearClusters near = nearClusters(clusters, angle);
+  std::size_t found = 0;
+  for (std::uint32_t a = 0; a < 400; ++a) {
+    std::vector<std::uint32_t> want;
+    for (std::uint32_t b = 0; b < 400; ++b)
+      if (b != a && dot(clusters.direction[a].raw(), clusters.direction[b].raw()) >= std::cos(angle)) want.push_back(b);
+    ASSERT_TRUE(std::equal(want.begin(), want.end(), near.of(a).begin(), near.of(a).end())) << a;
+    found += want.size();
+  }
+  EXPECT_GT(found, 400u);
 }
 
 TEST(SharedShadowRays, CellsSideBySideAskAfterAllQuarters) {
@@ -200,6 +256,25 @@ TEST_F(SharedShadowsTest, AFewRaysAHitAreEnoughForThousandsOfLights) {
   const double none = difference(picture(settings(0, 1), 3000), every);
   EXPECT_GT(none, 0.03);
   EXPECT_LT(difference(picture(settings(8, 1), 3000), every), 0.35 * none);
+}
+
+TEST_F(SharedShadowsTest, TheOutlineOfASunOfManyLightsIsAsSharpAsTheirRays) {
+  // Twenty lights within a degree, and a weak sky.
+  const auto lit = [](int rays) {
+    FrameLights lights = sky();
+    for (DistantLight& light : lights.distant) light.irradiance = 0.3 * light.irradiance;
+    for (int i = 0; i < 20; ++i) {
+      const double around = 2.4 * i, away = radians(0.1) * std::sqrt(i);
+      const Vec3 to{0.9 + away * std::cos(around), -0.4 + away * std::sin(around), 0.6};
+      lights.distant.push_back({*normalize(Vector<ObjectSpace>(to)), {0.15, 0.14, 0.12}});
+    }
+    DeformedModel deformed(field_->model);
+    bend(deformed);
+    FrameRenderer renderer(field_->folder, field_->manifest, field_->model, settings(rays, 1), Reporter::silent());
+    return renderer.render(camera(), deformed, lights).rgba;
+  };
+  const ImageF every = lit(1000);
+  EXPECT_LT(difference(lit(8), every), 0.25 * difference(lit(0), every));
 }
 
 TEST_F(SharedShadowsTest, SameBitsForAnyNumberOfThreadsAndMemory) {
