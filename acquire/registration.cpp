@@ -5,6 +5,7 @@
 #include <span>
 
 #include "base/error.h"
+#include "base/quantile.h"
 #include "field/capture_file.h"
 #include "field/reflectance_store.h"
 
@@ -110,11 +111,6 @@ bool hasBlackBackground(const ImageF& sum, const Image8& mask) {
     if (near.data()[i] == 0) background.push_back(sum.data()[i]);
   }
   if (object.empty() || background.empty()) return false;
-  const auto quantile = [](std::vector<float>& values, double share) {
-    const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
-    std::nth_element(values.begin(), at, values.end());
-    return *at;
-  };
   return quantile(background, 0.99) <= kDark * quantile(object, 0.5);
 }
 

@@ -8,6 +8,7 @@
 #include "base/check.h"
 #include "base/numeric.h"
 #include "base/parallel.h"
+#include "base/quantile.h"
 #include "model/frame_kernels.h"
 
 namespace srf {
@@ -36,7 +37,9 @@ constexpr int kMostSplits = 3;  // times; at a crease of Psi no size is small en
 constexpr double kPartRadius = 0.55, kPartDistance = 0.8660254037844386;
 // Distance of neighbouring surfels in radii (surface_sampling.cpp).
 constexpr double kSurfelSpacing = 0.8;
-constexpr std::size_t kSpacingSample = 1 << 12;  // splats that tell it
+constexpr std::size_t kSpacingSample = 1 << 12;  // splats that tell it, points that tell how far all are stretched
+// Shadow rays start so far off the surface: of the object's diameter, of what rims stand out.
+constexpr double kShadowOffset = 5e-4, kRims = 2;
 // In-plane phases further apart than 8 degrees are turned together before they are blended: apart they blend unevenly,
 // which tilts the plane, and opposed ones cancel. The direction field of a model keeps nearly all of them nearer.
 constexpr double kPhaseCosine = 0.99;
@@ -62,6 +65,20 @@ bool collapsed(const Tangents<ObjectSpace>& tangents) {
   return !ordinary && deformedFrame(tangents, FrameMode::bisector).collapsed;
 }
 
+// How far the rims of discs stand out of the flat triangles that they lie on, by the normals blended from the corners':
+// of all but one in a hundred.
+double discRise(const DeformableModel& model, std::span<const Orthogonal<AcquisitionSpace, TangentSpace>> frames) {
+  if (model.kind == ModelKind::mesh || model.size() == 0) return 0;
+  std::vector<double> rise;
+  for (std::size_t i = 0; i < model.size(); ++i) {
+    const auto& [a, b, c] = model.rest_mesh.triangles[model.anchor_triangle[i]];
+    const auto& corners = model.rest_mesh.positions;
+    const auto face = normalize(cross(corners[b] - corners[a], corners[c] - corners[a]));
+    if (face) rise.push_back(model.radius[i] * length(cross(face->raw(), frames[i].raw().column(2))));
+  }
+  return rise.empty() ? 0 : quantile(rise, 0.99);
+}
+
 }  // namespace
 
 DeformedModel::DeformedModel(const DeformableModel& model)
@@ -69,6 +86,8 @@ DeformedModel::DeformedModel(const DeformableModel& model)
   parallelFor(model.size(), kGrain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) rest_frame_[i] = rotationFromRodrigues(model.r0[i]);
   });
+  rest_offset_ = std::max(
+      {kShadowOffset * model.bounds().diameter(), model.positional_error, kRims * discRise(model, rest_frame_)});
   deform(Deformation());
 }
 
@@ -257,6 +276,15 @@ Box<ObjectSpace> DeformedModel::bounds() const {
     box.extend(splat.p_star + half);
   }
   return box;
+}
+
+double DeformedModel::shadowOffset() const {
+  std::vector<double> growth;
+  for (std::size_t i = 0; i < tangents_.size(); i += tangents_.size() / kSpacingSample + 1) {
+    const double area = length(cross(tangents_[i].u, tangents_[i].v));  // 1 at rest
+    if (std::isfinite(area)) growth.push_back(std::sqrt(area));
+  }
+  return growth.empty() ? rest_offset_ : rest_offset_ * median(std::move(growth));
 }
 
 int DeformedModel::raysAcross(const Camera<ObjectSpace>& camera) const {

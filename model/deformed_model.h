@@ -62,6 +62,9 @@ class DeformedModel {
   /// Ray scene of the deformed triangles or splats (for shadow rays).
   const RayScene<ObjectSpace>& rays() const { return *scene_; }
   Box<ObjectSpace> bounds() const;
+  /// How far off the surface, along its normal, shadow rays start, units: above rounding, the facets of a mesh, what
+  /// the surface may be off, and the rims of discs that stand out of the triangles that they lie on.
+  double shadowOffset() const;
   /// How many rays side by side in a pixel of the camera are as close together as neighbouring surfels, in the middle
   /// of those that face it; 1 where these are as large as a pixel, and for triangles.
   int raysAcross(const Camera<ObjectSpace>& camera) const;
@@ -87,6 +90,7 @@ class DeformedModel {
   };
 
   const DeformableModel& model_;
+  double rest_offset_ = 0;                                              ///< shadowOffset at rest
   std::vector<Orthogonal<AcquisitionSpace, TangentSpace>> rest_frame_;  ///< R0 of each point
   std::vector<Point<ObjectSpace>> p_star_;                              ///< NaN where Psi sends the point nowhere
   std::vector<Tangents<ObjectSpace>> tangents_;

@@ -8,6 +8,7 @@
 
 #include "base/numeric.h"
 #include "base/parallel.h"
+#include "base/quantile.h"
 #include "model/captured_visibility.h"
 #include "model/hull_correction.h"
 #include "model/point_samples.h"
@@ -244,12 +245,6 @@ void chooseMaterial(const std::vector<Roughness>& materials, PointSamples& sampl
     }
     if (error < least) least = error, point = tried;
   }
-}
-
-float quantile(std::vector<float>& values, double share) {
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
 }
 
 // What the object's points together say of its lobe.

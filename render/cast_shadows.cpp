@@ -30,7 +30,8 @@ CastShadows::CastShadows(const FrameLighting& lighting, const DeformedModel& def
       deformed_(deformed),
       rest_(options.shadows == Shadows::both ? nullptr : rest),
       options_(options),
-      offset_(std::max(kRayOffset * deformed.model().bounds().diameter(), deformed.model().positional_error)) {}
+      offset_(deformed.shadowOffset()),
+      rest_offset_(rest_ ? rest_->shadowOffset() : 0) {}
 
 std::uint32_t CastShadows::gather(std::uint32_t list_index, const LitPoint& point, LightGather& out,
                                   Counts& counts) const {
@@ -109,7 +110,7 @@ std::uint32_t CastShadows::gather(std::uint32_t list_index, const LitPoint& poin
   if (!unknown.empty()) {
     rays.clear(), far_distances.clear();
     // Acquisition space is the object's at rest.
-    const Point<ObjectSpace> origin(point.p.raw() + offset_ * normal.raw());
+    const Point<ObjectSpace> origin(point.p.raw() + rest_offset_ * normal.raw());
     for (const std::uint32_t i : unknown) {
       rays.push_back({origin, Direction<ObjectSpace>::fromUnit(list.directionOf(i, point.p).raw())});
       far_distances.push_back(kShortOfLight * list.distanceTo(i, point.p));

@@ -11,8 +11,6 @@
 
 namespace srf {
 
-/// Shadow rays start this far off the surface, of the object's diameter: above rounding and the facets of a mesh.
-inline constexpr double kRayOffset = 5e-4;
 /// Of the distance to a point light, which may stand in the object itself.
 inline constexpr double kShortOfLight = 0.999;
 
@@ -38,7 +36,7 @@ class CastShadows {
   const DeformedModel& deformed_;
   const DeformedModel* rest_;
   Options options_;
-  double offset_;  ///< of rays along the normal, units
+  double offset_, rest_offset_;  ///< of rays along the normal, units
 };
 
 }  // namespace srf

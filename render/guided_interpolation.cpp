@@ -86,7 +86,7 @@ GuidedLighting::GuidedLighting(const ReflectanceFit& fit, std::span<const std::u
       distant_lanes_(paddedLanes(lighting.lights().distant.size())),
       cluster_lanes_(paddedLanes(clusters_.count())),
       near_lanes_(paddedLanes(lighting.lights().near_lights.size())),
-      offset_(std::max(kRayOffset * occluders.model().bounds().diameter(), occluders.model().positional_error)) {
+      offset_(occluders.shadowOffset()) {
   energy_.assign(distant_lanes_, 0);
   for (int c = 0; c < 3; ++c) {
     irradiance_[c].assign(distant_lanes_, 0);

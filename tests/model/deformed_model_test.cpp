@@ -539,6 +539,37 @@ TEST(Surfels, ClosedModelsHaveNoHoleAtRestTwistedOrStretched) {
                        all_holes, test::atMost(0));
 }
 
+// Discs whose normals are blended stand out of coarse triangles like shingles; what they shade must not be each other.
+TEST(DeformedModel, ShadowRaysOfAConvexObjectMeetNoneOfItsOwnSurface) {
+  for (const ModelKind kind : {ModelKind::mesh, ModelKind::surfels})
+    for (const int n : {3, 6, 20}) {
+      const DeformableModel model = modelOf(test::sphere(n), kind, 4000);
+      DeformedModel deformed(model);
+      for (const double scale : {1.0, 300.0}) {
+        SCOPED_TRACE(std::to_string(n) + " across, surfels " + std::to_string(kind == ModelKind::surfels) + ", scale " +
+                     std::to_string(scale));
+        const std::string s = std::to_string(scale);
+        deformed.deform(psiOf(R"({"type": "affine", "matrix": [[)" + s + ",0,0,0],[0," + s + ",0,0],[0,0," + s +
+                              R"(,0],[0,0,0,1]]})"));
+        Rays rays = raysAt(4000, 0.7 * scale, 5 * scale), shadow;
+        for (const SurfaceHit& hit : hitsOf(deformed, rays)) {
+          if (hit.count == 0) continue;
+          const Vec3 normal = hit.p_star.raw() / length(hit.p_star.raw());
+          // A light 20 degrees above the horizon.
+          const Vec3 across = anyPerpendicular(Direction<ObjectSpace>::fromUnit(normal)).raw();
+          const Vec3 light = std::sin(radians(20)) * normal + std::cos(radians(20)) * across;
+          shadow.push_back({Point<ObjectSpace>(hit.p_star.raw() + deformed.shadowOffset() * normal),
+                            Direction<ObjectSpace>::fromUnit(light)});
+        }
+        ASSERT_GT(shadow.size(), 2000u);
+        std::vector<std::uint8_t> blocked(shadow.size(), 0);
+        const std::vector<double> far(shadow.size(), std::numeric_limits<double>::infinity());
+        deformed.rays().occluded(shadow, far, 0, blocked);
+        EXPECT_LT(std::accumulate(blocked.begin(), blocked.end(), 0), 0.01 * static_cast<double>(shadow.size()));
+      }
+    }
+}
+
 TEST(Surfels, AreSplitWhereTheDeformationBendsThem) {
   const AcquisitionMesh mesh = test::torus(160, 80);
   const DeformableModel triangles = modelOf(mesh), surfels = modelOf(mesh, ModelKind::surfels, 1500);
