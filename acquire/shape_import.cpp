@@ -163,18 +163,28 @@ AcquisitionMesh torus(const Vec3& center, const Vec3& half, double& off) {
 
 using Kernel = CGAL::Exact_predicates_inexact_constructions_kernel;
 
-double largestCoordinate(const AcquisitionMesh& mesh) {
+// What the rounding of floats may have moved a vertex by: of their numbers where all are floats, else, as far from the
+// origin as the object may stand, of numbers of its size.
+double roundingOf(const AcquisitionMesh& mesh) {
   double largest = 0;
-  for (const Point3& p : mesh.positions)
-    for (int k = 0; k < 3; ++k)
-      if (std::isfinite(p.raw()[k])) largest = std::max(largest, std::fabs(p.raw()[k]));
-  return largest;
+  bool floats = true;
+  Box<AcquisitionSpace> box;
+  for (const Point3& p : mesh.positions) {
+    if (!isFinite(p)) continue;
+    box.extend(p);
+    for (int k = 0; k < 3; ++k) {
+      const double x = p.raw()[k];
+      largest = std::max(largest, std::fabs(x));
+      floats = floats && x == static_cast<double>(static_cast<float>(x));
+    }
+  }
+  return std::numeric_limits<float>::epsilon() * (floats ? largest : std::min(largest, box.diameter()));
 }
 
 // Vertices that at most the rounding of floats keeps apart become one, where their normals (if any) agree: the seams of
 // textures close, sharp edges stay.
 void mergeVertices(AcquisitionMesh& mesh) {
-  const double apart = 4 * std::numeric_limits<float>::epsilon() * largestCoordinate(mesh);
+  const double apart = 4 * roundingOf(mesh);
   const Vec3 slant{0.5477, 0.6831, 0.4831};  // unit; a direction that no flat side of an object is perpendicular to
   std::vector<std::pair<double, std::uint32_t>> order;
   for (std::uint32_t i = 0; i < mesh.positions.size(); ++i)
@@ -296,7 +306,7 @@ ImportedShape importMesh(AcquisitionMesh mesh, const std::string& file, Reporter
     reporter.warn(file + " is not closed: " + std::to_string(loops) + " holes or seams with " + std::to_string(edges) +
                   " border edges; rays may pass through them");
   if (mesh.normals.empty()) mesh.normals = vertexNormals(mesh);
-  const double error = largestCoordinate(mesh) * std::numeric_limits<float>::epsilon();
+  const double error = roundingOf(mesh);
   return {std::move(mesh), error};
 }
 

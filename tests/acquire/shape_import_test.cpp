@@ -122,8 +122,8 @@ TEST(ParametricShape, TorusHasGenusOne) {
 // ------------------------------------------------------------------------------------------------------------
 
 // Triangles of a sphere that share no vertices; every third is turned, the first is there twice.
-AcquisitionMesh sphereSoup() {
-  const AcquisitionMesh sphere = parametricShape("sphere", boxOf({5, 0, 0}, {1, 1, 1}), Reporter::silent())->mesh;
+AcquisitionMesh sphereSoup(const Vec3& center = {5, 0, 0}) {
+  const AcquisitionMesh sphere = parametricShape("sphere", boxOf(center, {1, 1, 1}), Reporter::silent())->mesh;
   AcquisitionMesh soup;
   for (std::size_t i = 0; i < sphere.triangles.size(); ++i) {
     Triangle t = sphere.triangles[i];
@@ -146,6 +146,18 @@ TEST(ImportedMesh, ASoupOfTurnedTrianglesBecomesAClosedSurface) {
   const MeshTopology topology = meshTopology(shape.mesh);
   EXPECT_TRUE(topology.closed && topology.manifold && topology.oriented);
   EXPECT_EQ(topology.components, 1);
+  EXPECT_NEAR(meshVolume(shape.mesh) / (4.0 / 3 * kPi), 1, 1e-3);
+  EXPECT_LT(worstNormal(shape.mesh), 2);
+  EXPECT_LT(shape.positional_error, 1e-6);
+}
+
+// As coordinates of a country's survey are: floats would not hold them, and the file does not.
+TEST(ImportedMesh, FarFromTheOriginVerticesOfDoublePrecisionStayApart) {
+  const test::TemporaryFolder folder;
+  writePly(folder / "soup.ply", sphereSoup({523000.5, 5.27e6, 400}));
+  const ImportedShape shape = importShape(folder / "soup.ply", Reporter::silent());
+  const MeshTopology topology = meshTopology(shape.mesh);
+  EXPECT_TRUE(topology.closed && topology.manifold && topology.oriented);
   EXPECT_NEAR(meshVolume(shape.mesh) / (4.0 / 3 * kPi), 1, 1e-3);
   EXPECT_LT(worstNormal(shape.mesh), 2);
   EXPECT_LT(shape.positional_error, 1e-6);
