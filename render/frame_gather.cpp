@@ -137,7 +137,9 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
     ViewQuery& query = queries.emplace_back();
     query.p = look_up.p, query.normal = look_up.normal;
     query.view = look_up.acquisition_from_object * -rays[met[m]].direction;  // v = L v*
-    if (!camera.lens.isOrthographic()) query.eye_distance = distance(rays[met[m]].origin, hit.p_star);
+    if (!camera.lens.isOrthographic())
+      query.eye_distance =
+          distance(rays[met[m]].origin, hit.p_star) / std::sqrt(length(cross(hit.tangents.u, hit.tangents.v)));
     query.points = {hit.point, static_cast<std::size_t>(hit.count)};
     query.point_weights = {hit.weight, static_cast<std::size_t>(hit.count)};
   }

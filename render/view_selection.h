@@ -18,11 +18,12 @@ namespace srf {
 /// A desired ray in acquisition space.
 struct ViewQuery {
   Point<AcquisitionSpace> p;
-  Direction<AcquisitionSpace> view;                               ///< v
-  Direction<AcquisitionSpace> normal;                             ///< n0
-  double eye_distance = std::numeric_limits<double>::infinity();  ///< |e* - p*| = |p - d|; infinite: orthographic
-  std::span<const std::uint32_t> points;                          ///< the model points that the hit blends
-  std::span<const float> point_weights;                           ///< sum 1
+  Direction<AcquisitionSpace> view;    ///< v
+  Direction<AcquisitionSpace> normal;  ///< n0
+  /// |e* - p*| = |p - d|, divided by how far the deformation stretches the surface there; infinite: orthographic.
+  double eye_distance = std::numeric_limits<double>::infinity();
+  std::span<const std::uint32_t> points;  ///< the model points that the hit blends
+  std::span<const float> point_weights;   ///< sum 1
 };
 
 struct ChosenView {

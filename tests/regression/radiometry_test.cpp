@@ -178,6 +178,32 @@ TEST(Radiometry, PicturesAreLinearInTheLights) {
   test::recordHardCase(37, "lights times 1e-20 and 1e20, relative", scaled.value, test::atMost(1e-6));
 }
 
+TEST(Radiometry, ScalingOfEverythingChangesNothing) {
+  const test::TemporaryFolder folder;
+  const auto field = test::makeSphereField(folder / "x.srf", {}, glossyFormula);
+  const auto picture = [&](const std::string& scale) {
+    const double s = std::stod(scale);
+    const Deformation psi = warp(R"([{"type":"affine","matrix":[[)" + scale + ",0,0,0],[0," + scale + ",0,0],[0,0," +
+                                 scale + ",0],[0,0,0,1]]}]");
+    FrameLights lights;
+    lights.distant = {sun({1, -1, 1})};
+    lights.near_lights = {{Point<ObjectSpace>(2 * s, -2 * s, s), s * s * Vec3{2, 3, 4}}};
+    return renderOnce(field, psi, cameraFrom(s * Vec3{1.5, -2, 0.5}), lights);
+  };
+  const Frame rest = picture("1");
+  for (const char* scale : {"0.015625", "64"}) {
+    const Frame scaled = picture(scale);
+    int unlike = 0, inside = 0;
+    forInside(rest, [&](int x, int y) {
+      ++inside;
+      for (int c = 0; c < 4; ++c)
+        unlike += !(std::fabs(rest.rgba.at(x, y, c) - scaled.rgba.at(x, y, c)) <= 1e-4 * rest.rgba.at(x, y, c));
+    });
+    EXPECT_GT(inside, 300);
+    EXPECT_EQ(unlike, 0) << scale;
+  }
+}
+
 TEST(Radiometry, RigidMotionOfEverythingChangesNothingAndOfTheModelEqualsItsInverseOnTheRest) {
   const test::TemporaryFolder folder;
   const auto field = test::makeSphereField(folder / "x.srf", {}, glossyFormula);
