@@ -93,7 +93,9 @@ int main(int argc, char** argv) {
     const auto fit = loadFit(folder, field, model);
     if (!fit) throw srf::Error(ErrorKind::bad_input, folder + ": its model has no fit; make one with srf model");
     std::vector<Direction<AcquisitionSpace>> normals;
+    std::vector<SymmetricMatrix> turns;
     for (const FittedPoint& point : fit->points) {
+      turns.push_back(point.turn);
       const auto& n = point.reflectance.normal;
       normals.push_back(*normalize(Vector<AcquisitionSpace>(Vec3{n[0], n[1], n[2]})));
     }
@@ -101,7 +103,7 @@ int main(int argc, char** argv) {
                              reporter);
     const CapturedVisibility visibility{fit->lit, fit->lit_by_rays, fit->lit_around, fit->seen_around};
     const LightLists lists(field);
-    const FitInput input{field, model, lists, samples, visibility};
+    const FitInput input{field, model, lists, samples, visibility, turns};
 
     bench::Series load, solve, hold_out, bare;  // ms of a block
     std::size_t points = 0, values = 0;

@@ -1,4 +1,4 @@
-// *.srffit: "SRFFIT\0\0", u32 version, u32 bytes of the header, the header (JSON), then, little-endian: a record of 36
+// *.srffit: "SRFFIT\0\0", u32 version, u32 bytes of the header, the header (JSON), then, little-endian: a record of 48
 // bytes for each point, and the rows of the five tables of bits, lit_by_rays only where it differs from lit. The
 // manifest holds the hash of the file.
 #include <algorithm>
@@ -32,8 +32,9 @@ struct Record {
   std::uint8_t gate, indirect;                ///< 0 .. 255
   std::uint8_t indirect_shadow, slant;
   std::uint8_t none;
+  float turn[3];  ///< along u u, u v, v v: u = anyPerpendicular(normal), v = n x u
 };
-static_assert(sizeof(Record) == 36);
+static_assert(sizeof(Record) == 48);
 
 // Cigolle et al. 2014: the sphere folded onto a square.
 std::array<std::int16_t, 2> octahedral(const std::array<float, 3>& n) {
@@ -69,6 +70,11 @@ std::uint8_t byte(float share) {
   return static_cast<std::uint8_t>(std::lround(std::clamp(share, 0.f, 1.f) * 255));
 }
 
+float product(const SymmetricMatrix& m, const Vec3& a, const Vec3& b) {
+  const auto [xx, xy, xz, yy, yz, zz] = m;
+  return static_cast<float>(dot(a, Mat3{{Vec3{xx, xy, xz}, Vec3{xy, yy, yz}, Vec3{xz, yz, zz}}} * b));
+}
+
 Record pack(const FittedPoint& point, std::uint8_t roughness) {
   Record record{};
   const PointReflectance& r = point.reflectance;
@@ -85,6 +91,10 @@ Record pack(const FittedPoint& point, std::uint8_t roughness) {
   record.indirect = byte(point.indirect);
   record.indirect_shadow = byte(point.indirect_shadow);
   record.slant = byte(point.slant);
+  const Vec3 v = cross(n.raw(), u.raw());
+  record.turn[0] = product(point.turn, u.raw(), u.raw());
+  record.turn[1] = product(point.turn, u.raw(), v);
+  record.turn[2] = product(point.turn, v, v);
   return record;
 }
 
@@ -102,6 +112,7 @@ FittedPoint unpack(const Record& record, const std::vector<std::array<float, 2>>
   point.indirect = static_cast<float>(record.indirect) / 255;
   point.indirect_shadow = static_cast<float>(record.indirect_shadow) / 255;
   point.slant = static_cast<float>(record.slant) / 255;
+  point.turn = symmetricInPlane(record.turn[0], record.turn[1], record.turn[2], u.raw(), cross(n.raw(), u.raw()));
   return point;
 }
 
@@ -158,6 +169,8 @@ ReflectanceFit parseFit(const std::vector<std::byte>& bytes, const std::string& 
     for (const auto& term : record.coefficient)
       for (const std::uint16_t half : term)
         if (half >= 0x7c00) throw damaged("has a coefficient that is negative or not finite");
+    for (const float turn : record.turn)
+      if (!std::isfinite(turn)) throw damaged("has a turn of the normal that is not finite");
     fit.points.push_back(unpack(record, roughnesses));
   }
   const auto take_bits = [&](std::size_t columns) {

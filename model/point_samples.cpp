@@ -177,9 +177,12 @@ void PointSamples::load(const FitInput& input, std::size_t i, const Direction<Ac
     }
     View view;
     view.view = at.view;
-    const Direction<AcquisitionSpace> direction = input.field.views[at.view].camera.viewDirection(p);
+    const Camera<AcquisitionSpace>& camera = input.field.views[at.view].camera;
+    const Direction<AcquisitionSpace> direction = camera.viewDirection(p);
     for (int c = 0; c < 3; ++c) view.direction[c] = static_cast<float>(direction.raw()[c]);
     view.cosine = static_cast<float>(dot(normal, direction));
+    if (const auto seen = camera.project(p))
+      view.spread = normalSpread(input.turns[i], normal, direction, photographVariance(camera, *seen));
     view.lights = static_cast<std::uint32_t>(which);
     view.first = samples_;
     view.around = input.visibility.seen_around.get(i, at.view);
@@ -242,7 +245,7 @@ void PointSamples::terms(const PointReflectance& point) {
   for (auto& row : terms_) row.resize(samples_);
   for (const View& view : views_) {
     const Lights& l = lights_[view.lights];
-    modelTerms(point, view.direction, {l.x.data(), l.y.data(), l.z.data(), l.count},
+    modelTerms(seenThrough(point, view.spread), view.direction, {l.x.data(), l.y.data(), l.z.data(), l.count},
                {&terms_[0][view.first], &terms_[1][view.first], &terms_[2][view.first], &terms_[3][view.first]});
   }
 }

@@ -10,6 +10,7 @@
 #include "model/deformable_model.h"
 #include "model/fit_samples.h"
 #include "model/nonnegative_least_squares.h"
+#include "model/normal_spread.h"
 #include "model/reflectance_model.h"
 
 namespace srf {
@@ -37,6 +38,7 @@ struct FitInput {
   const LightLists& lists;
   const FitSamples& samples;
   const CapturedVisibility& visibility;
+  const std::vector<SymmetricMatrix>& turns;  ///< normalTurns of the points
 };
 
 class PointSamples {
@@ -54,6 +56,7 @@ class PointSamples {
     std::uint32_t view = 0;
     std::array<float, 3> direction{};
     float cosine = 0;          ///< n.v
+    SymmetricMatrix spread{};  ///< normalSpread of what its samples show
     std::uint32_t lights = 0;  ///< position in lights()
     int first = 0;             ///< of its samples in the rows
     bool around = false;       ///< CapturedVisibility::seen_around

@@ -11,6 +11,7 @@
 #include "base/quantile.h"
 #include "model/captured_visibility.h"
 #include "model/hull_correction.h"
+#include "model/normal_spread.h"
 #include "model/point_samples.h"
 #include "model/points_around.h"
 #include "model/sample_holdout.h"
@@ -423,7 +424,9 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   const FitSamples samples(srf_folder, field, model, normals, {options.memory_bytes, options.most_views}, reporter);
   CapturedVisibility visibility = castCapturedVisibility(field, model, normals, reporter);
   const LightLists lists(field);
-  const FitInput input{field, model, lists, samples, visibility};
+  const double reach = aroundReach(field, model);
+  std::vector<SymmetricMatrix> turns = normalTurns(model.p0, normals, reach);
+  const FitInput input{field, model, lists, samples, visibility, turns};
   const bool is_hull = model.shape == "hull";
 
   std::vector<Roughness> materials{Roughness()};
@@ -457,7 +460,10 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   }
 
   ReflectanceFit fit;
-  if (is_hull) correctHull(input, materials, normals, visibility, reporter);
+  if (is_hull) {
+    correctHull(input, materials, normals, visibility, reporter);
+    turns = normalTurns(model.p0, normals, reach);
+  }
   fit.points.resize(model.size());
   fit.worse = VisibilityBits(model.size(), field.lights.size());
   std::vector<PointError> errors(model.size());
@@ -470,6 +476,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
       for (std::size_t i = begin; i < end; ++i) {
         FittedPoint& fitted = fit.points[i];
         setFrame(fitted.reflectance, normals[i], 0);
+        fitted.turn = turns[i];
         fitted.reflectance.alpha_x = materials[0].x, fitted.reflectance.alpha_y = materials[0].y;
         point.load(input, i, normals[i]);
         if (point.litSamples() == 0) continue;
@@ -515,8 +522,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   }
   if (is_hull) dropOutlines(field, model, fit.worse);
   openGates(errors, fit.points);
-  if (const double reach = kOffReach * aroundReach(field, model); is_hull && reach > 0)
-    closeOffTheObject(model.p0, reach, errors, fit.points);
+  if (is_hull && reach > 0) closeOffTheObject(model.p0, kOffReach * reach, errors, fit.points);
   double plain = 0, guided = 0, square = 0;
   for (std::size_t i = 0; i < errors.size(); ++i) {
     plain += errors[i].light.plain, square += errors[i].square;

@@ -9,6 +9,7 @@
 #include "base/reporter.h"
 #include "field/srf_folder.h"
 #include "model/deformable_model.h"
+#include "model/normal_spread.h"
 #include "model/reflectance_model.h"
 
 namespace srf {
@@ -24,6 +25,7 @@ struct FittedPoint {
   /// How far a view that sees the point aslant counts less for the residual: 0 by the root of n.v as in plain
   /// interpolation, 0.5 by n.v, 1 by its square; by the error with views left out.
   float slant = 0.5f;
+  SymmetricMatrix turn{};  ///< normalTurns: how much wider the lobe is through a pixel
 };
 
 struct ReflectanceFit {
@@ -46,7 +48,7 @@ struct ReflectanceFit {
   double error_plain = 0, error_guided = 0;
 };
 
-inline constexpr std::uint32_t kFitVersion = 4;  ///< of the file, the only one that is read
+inline constexpr std::uint32_t kFitVersion = 5;  ///< of the file, the only one that is read
 
 struct FitOptions {
   std::size_t memory_bytes = std::size_t{2} << 30;  ///< for the samples held at once

@@ -77,6 +77,12 @@ void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model,
   met.triangles.resize(out.shaded.size());
 }
 
+/// Of the light that one sample of a pixel stands for (GuidedQuery::variance).
+double sampleVariance(const FramePlan& plan, const SurfaceHit& hit) {
+  const double depth = dot(plan.camera.forward(), hit.p_star - plan.camera.center());
+  return pixelVariance(plan.camera.pixelFootprint(depth)) / static_cast<double>(plan.pattern.size());
+}
+
 }  // namespace
 
 void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, RaysMet& rays_met, PixelBlock& out,
@@ -268,7 +274,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
       const std::size_t end = std::min(met.size(), first + guided->hitsAtOnce());
       guided_queries.clear();
       for (std::size_t m = first; m < end; ++m)
-        guided_queries.push_back({&hits[met[m]], &look_ups[m], queries[m].view, chosen.of(m), cellOf(pixels[met[m]])});
+          guided_queries.push_back({&hits[met[m]], &look_ups[m], queries[m].view, chosen.of(m),
+                                    cellOf(pixels[met[m]]), sampleVariance(plan, hits[met[m]])});
       guided->evaluate(guided_queries, guided_block);
       lap(kModelValues);
       guided->castShadows(guided_block);

@@ -139,6 +139,7 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
     hit.indirect_shadow += w * point.indirect_shadow;
     to.alpha_x += w * from.alpha_x;
     to.alpha_y += w * from.alpha_y;
+    for (int k = 0; k < 6; ++k) hit.turn[k] += w * point.turn[k];
     // The tangent is an axis: turned to the side of the first.
     const float side = dot3(to.tangent, from.tangent[0], from.tangent[1], from.tangent[2]) < 0 ? -w : w;
     for (int c = 0; c < 3; ++c) {
@@ -157,8 +158,9 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
       normalize(Vector<AcquisitionSpace>(t - dot(n.raw(), t) * n.raw())).value_or(anyPerpendicular(n));
   to.normal = floats(n.raw());
   to.tangent = floats(tangent.raw());
-  hit.model = modelOfPoint(to);
-  hit.model_view = addView(hit.model, to, floats(query.view.raw()), 1);
+  hit.seen = seenThrough(to, normalSpread(hit.turn, n, query.view, query.variance));
+  hit.model = modelOfPoint(hit.seen);
+  hit.model_view = addView(hit.model, hit.seen, floats(query.view.raw()), 1);
   turn(hit.model, hit.model_view, query.look_up->acquisition_from_object.raw().transposed());
 }
 
@@ -487,8 +489,8 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
       e[c][0] = block.gate[*at] * static_cast<float>(rest.scale) * block.lit[*at] * captured.irradiance[c][*at];
     }
     if (!options_.model_alone) block.singles.push_back({*at, {0, 0, 0}, {e[0][0], e[1][0], e[2][0]}});
-    ModelOfPoint model = modelOfPoint(hit.reflectance);
-    const ModelView view = addView(model, hit.reflectance, floats(hit.query.view.raw()), 1);
+    ModelOfPoint model = modelOfPoint(hit.seen);
+    const ModelView view = addView(model, hit.seen, floats(hit.query.view.raw()), 1);
     add(list_share, modelSums(model, &view, 1, lanesOf(l), channels(std::as_const(e)), kVectorLanes));
     block.model_values += 1;
   }
@@ -555,15 +557,36 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   return out.append(weights, list.count());
 }
 
+PointReflectance GuidedLighting::photographedBy(const GuidedBlock::Hit& hit, std::uint32_t list) const {
+  if (hit.turn == SymmetricMatrix{}) return hit.reflectance;
+  const Point<AcquisitionSpace>& p = hit.query.look_up->p;
+  const auto [nx, ny, nz] = hit.reflectance.normal;
+  const auto n = Direction<AcquisitionSpace>::fromUnit({nx, ny, nz});
+  SymmetricMatrix sum{};
+  double share = 0;
+  for (const ChosenView& chosen : hit.query.chosen) {
+    const Camera<AcquisitionSpace>& camera = views_[chosen.view].camera;
+    const auto at = list_of_view_[chosen.view] == list ? camera.project(p) : std::nullopt;
+    if (!at) continue;
+    const SymmetricMatrix spread =
+        normalSpread(hit.turn, n, camera.viewDirection(p), photographVariance(camera, *at, chosen.fetch.level));
+    for (int k = 0; k < 6; ++k) sum[k] += static_cast<float>(chosen.weight) * spread[k];
+    share += chosen.weight;
+  }
+  for (float& s : sum) s = share > 0 ? s / static_cast<float>(share) : 0.f;
+  return seenThrough(hit.reflectance, sum);
+}
+
 void GuidedLighting::takeAway(GuidedBlock& block, std::span<std::array<double, 3>> colors) const {
   for (const GuidedBlock::Taken& taken : block.taken) {
     const GuidedBlock::Hit& hit = block.hits[taken.hit];
-    ModelOfPoint model = modelOfPoint(hit.reflectance);
+    const PointReflectance photographed = photographedBy(hit, taken.list);
+    ModelOfPoint model = modelOfPoint(photographed);
     block.model_views.clear();
     for (const ChosenView& chosen : hit.query.chosen) {
       if (list_of_view_[chosen.view] != taken.list) continue;
       const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(hit.query.look_up->p).raw());
-      block.model_views.push_back(addView(model, hit.reflectance, view, static_cast<float>(chosen.weight)));
+      block.model_views.push_back(addView(model, photographed, view, static_cast<float>(chosen.weight)));
     }
     const std::array<float, 3> sum =
         modelSums(model, block.model_views.data(), block.model_views.size(), lanesOf(block.used_direction, taken.first),

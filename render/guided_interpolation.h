@@ -10,7 +10,9 @@
 // in S: the light weights of a hit are merged over all lights of the frame as ever, the same blocks are read, and what
 // the model adds and takes away is a colour known before any block is. Near a captured light the second form takes over
 // whether the light reaches p or not, so that the photograph returns there with its own shadows. Everything is
-// evaluated in acquisition space, after L.
+// evaluated in acquisition space, after L. A pixel's normals spread, and its lobe is wider for it
+// (model/normal_spread.h): M(p, l_i, v_j) is the model as the photograph shows it, M(p, l, v) as the picture will. At a
+// captured view under a captured light both are the same, and the photograph returns.
 #pragma once
 
 #include <array>
@@ -44,6 +46,7 @@ struct GuidedQuery {
   Direction<AcquisitionSpace> view;    ///< v
   std::span<const ChosenView> chosen;  ///< weights sum 1
   ShadowCell cell;                     ///< hits of a cell follow one another
+  double variance = 0;                 ///< pixelVariance of the sample of the picture, seen from the eye
 };
 
 /// The hits of one block of pixels on their way, and memory for it. Arrays hold whole kernel widths (paddedLanes).
@@ -51,7 +54,9 @@ struct GuidedBlock {
   struct Hit {
     GuidedQuery query;
     PointReflectance reflectance;
-    ModelOfPoint model;  ///< seen along v, object space
+    SymmetricMatrix turn{};  ///< normalTurns
+    PointReflectance seen;   ///< through the picture's pixel
+    ModelOfPoint model;      ///< of `seen`, along v, object space
     ModelView model_view;
     float gate = 0, indirect = 0, indirect_shadow = 0;
   };
@@ -191,6 +196,8 @@ class GuidedLighting {
   /// How all distant lights at once are spread, by weights that hits of like orientation share.
   ResidualShares spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list,
                               std::array<float, 3>& sum) const;
+  /// The lobe as the photographs of a list show it, those that the hit is made of in their mean.
+  PointReflectance photographedBy(const GuidedBlock::Hit& hit, std::uint32_t list) const;
   const SharedStandIns::Corner& corner(GuidedBlock& block, int slot, const SharedKey& key) const;
 
   const ReflectanceFit& fit_;

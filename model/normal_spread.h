@@ -1,0 +1,48 @@
+// How far the normals of a surface spread over what a pixel sees of it. A lobe seen through that pixel is as much
+// wider: left out, it would be found as roughness, too much of it where the surface bends and pixels are coarse, and of
+// two kinds where it bends one way.
+//
+// D of GGX is that of an ellipsoid of axes alpha_x, alpha_y and 1; turned at random by small angles of variance
+// Sigma, the ellipsoid's squared axes become, in the mean, A + Sigma - (Sigma A + A Sigma) / 2 (the matrices of SGGX,
+// Heitz et al. 2015): nothing at alpha 1, where D is the same in every direction. That mean keeps second moments,
+// which for the long tails of GGX is too little: of all lobes (1 + x^2 / a)^-2 the one nearest, in squares, to one that
+// is blurred by Sigma has 3 Sigma in Sigma's place (it would be 2 for Beckmann's, as in Olano and Baker 2010, Kaplanyan
+// et al. 2016).
+#pragma once
+
+#include <array>
+#include <span>
+#include <vector>
+
+#include "base/camera.h"
+#include "model/reflectance_model.h"
+
+namespace srf {
+
+/// Symmetric, of acquisition space: xx xy xz yy yz zz.
+using SymmetricMatrix = std::array<float, 6>;
+/// a u u' + b (u v' + v u') + c v v'.
+SymmetricMatrix symmetricInPlane(double a, double b, double c, const Vec3& u, const Vec3& v);
+
+/// How the normal of each point turns along the surface, radians a unit (the shape operator; its sign means nothing):
+/// the straight fit to the normals of the points nearer than `reach`, units, that face the same way. 0 where they are
+/// too few to tell.
+std::vector<SymmetricMatrix> normalTurns(const std::vector<Point<AcquisitionSpace>>& points,
+                                         std::span<const Direction<AcquisitionSpace>> normals, double reach);
+
+/// Where the light of a pixel's value comes from, on a plane that faces the camera: variance along any axis of it, in
+/// squares of units. Of a pixel as it is, whose square light comes from alike ...
+double pixelVariance(double pixel_size);
+/// ... and of a value between the texels about `at`, of a photograph's `level` (0: as it was taken).
+double photographVariance(const Camera<AcquisitionSpace>& camera, const Camera<AcquisitionSpace>::Projection& at,
+                          int level = 0);
+
+/// Variance of the normal, radians squared, over what is seen along `view` and has `variance` on a plane that faces it:
+/// the part of a slanted surface is as much longer, up to where normalTurns looked.
+SymmetricMatrix normalSpread(const SymmetricMatrix& turn, const Direction<AcquisitionSpace>& normal,
+                             const Direction<AcquisitionSpace>& view, double variance);
+
+/// The lobe as it is seen where the normal spreads.
+PointReflectance seenThrough(const PointReflectance& point, const SymmetricMatrix& spread);
+
+}  // namespace srf
