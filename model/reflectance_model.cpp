@@ -17,6 +17,13 @@ Real fifth(Real x) {
   return x * x * (x * x) * x;
 }
 
+// F of the header.
+template <class Real>
+Real fresnelRise(Real x) {
+  const auto [third, fourth, fifth, sixth] = kFresnelRise;
+  return x * x * x * (Real{third} + x * (Real{fourth} + x * (Real{fifth} + x * Real{sixth})));
+}
+
 }  // namespace
 
 ModelSight modelSight(const std::array<float, 3>& n, const std::array<float, 3>& t, const std::array<float, 3>& b,
@@ -69,7 +76,7 @@ void modelTerms(const PointReflectance& point, const std::array<float, 3>& view,
     lambert[i] = kInversePi * nl;
     transmitted[i] = transmitted_v * nl * (1 - fifth(1 - nl));
     specular[i] = value;
-    fresnel[i] = value * fifth(std::max(1 - vh, 0.f));
+    fresnel[i] = value * fresnelRise(std::max(1 - vh, 0.f));
   }
 }
 
@@ -96,7 +103,7 @@ std::array<double, kModelTerms> modelTermsReference(const PointReflectance& poin
   };
   const double specular = distribution * masking(nl, l) * masking(nv, v) / (4 * nv);
   return {nl / kPi, nl / kPi * (1 - fifth(1 - nl)) * (1 - fifth(1 - nv)), specular,
-          specular * fifth(std::max(1 - 0.5 * half, 0.0))};
+          specular * fresnelRise(std::max(1 - 0.5 * half, 0.0))};
 }
 
 }  // namespace srf

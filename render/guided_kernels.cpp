@@ -48,6 +48,13 @@ V fifth(V x) {
   return hn::Mul(hn::Mul(square, square), x);
 }
 
+V fresnelRise(V x) {
+  const F f;
+  V sum = hn::Set(f, kFresnelRise[3]);
+  for (int i = 2; i >= 0; --i) sum = hn::MulAdd(sum, x, hn::Set(f, kFresnelRise[i]));
+  return hn::Mul(sum, hn::Mul(x, hn::Mul(x, x)));
+}
+
 V dot3(const std::array<float, 3>& a, V x, V y, V z) {
   const F f;
   return hn::MulAdd(hn::Set(f, a[0]), x, hn::MulAdd(hn::Set(f, a[1]), y, hn::Mul(hn::Set(f, a[2]), z)));
@@ -89,7 +96,7 @@ HWY_INLINE void values(const ModelOfPoint& m, const ModelView* views, std::size_
         hn::Div(hn::Mul(hn::Set(f, view.share), hn::Mul(half2, half2)), hn::Mul(masked, hn::Mul(slope, slope)));
     specular = hn::Add(specular, lobe);
     const V grazing = hn::Max(hn::NegMulAdd(hn::Set(f, 0.5f), hn::Sqrt(half2), one), zero);
-    fresnel = hn::MulAdd(lobe, fifth(grazing), fresnel);
+    fresnel = hn::MulAdd(lobe, fresnelRise(grazing), fresnel);
   }
   specular = hn::Mul(specular, nl);
   fresnel = hn::Mul(fresnel, nl);
