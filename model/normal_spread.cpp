@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <optional>
 
 #include "base/numeric.h"
 #include "base/parallel.h"
@@ -11,12 +13,13 @@
 namespace srf {
 namespace {
 
-constexpr std::size_t kChunk = 256;      // points
-constexpr double kSameWay = 0.5;         // cosine between normals of one surface
-constexpr double kEvenly = 1e-3;         // of the points around: determinant over squared trace of where they lie
-constexpr double kSquare = 1.0 / 12;     // variance of the unit square along a side
-constexpr double kLeastCosine = 0.3;     // a pixel's deviation reaches as far as the points around, 1.7 pixels
-constexpr float kOfLongTails = 3;        // see the top of the header
+constexpr std::size_t kChunk = 256;   // points
+constexpr double kSameWay = 0.5;      // cosine between normals of one surface
+constexpr double kEvenly = 1e-3;      // of the points around: determinant over squared trace of where they lie
+constexpr int kMostDoublings = 3;     // of the reach, where points lie farther apart
+constexpr double kSquare = 1.0 / 12;  // variance of the unit square along a side
+constexpr double kLeastCosine = 0.3;  // a pixel's deviation reaches as far as the points around, 1.7 pixels
+constexpr float kOfLongTails = 3;     // see the top of the header
 
 // Sums over weighted places (x, y) in a tangent plane and the slopes (a, b) of the normals there.
 struct SlopeSums {
@@ -28,19 +31,42 @@ struct SlopeSums {
     xx += w * px * px, xy += w * px * py, yy += w * py * py;
     xa += w * px * pa, ya += w * py * pa, xb += w * px * pb, yb += w * py * pb;
   }
-  /// The symmetric straight fit of slopes to places, about their means.
-  SymmetricMatrix turn(const Vec3& u, const Vec3& v) const {
-    if (!(weight > 0)) return {};
+  /// The symmetric straight fit of slopes to places, about their means. None where the places do not tell it.
+  std::optional<SymmetricMatrix> turn(const Vec3& u, const Vec3& v) const {
+    if (!(weight > 0)) return std::nullopt;
     const auto about = [&](double sum, double p, double q) { return sum - p * q / weight; };
     const double cxx = about(xx, x, x), cxy = about(xy, x, y), cyy = about(yy, y, y);
     const double cxa = about(xa, x, a), cya = about(ya, y, a), cxb = about(xb, x, b), cyb = about(yb, y, b);
     const double determinant = cxx * cyy - cxy * cxy;
-    if (!(determinant > kEvenly * square(cxx + cyy))) return {};
+    if (!(determinant > kEvenly * square(cxx + cyy))) return std::nullopt;
     const double across = (cxx * cya - cxy * cxa + cyy * cxb - cxy * cyb) / 2;
-    return symmetricInPlane((cyy * cxa - cxy * cya) / determinant, across / determinant, (cxx * cyb - cxy * cxb) / determinant,
-                   u, v);
+    return symmetricInPlane((cyy * cxa - cxy * cya) / determinant, across / determinant,
+                            (cxx * cyb - cxy * cxb) / determinant, u, v);
   }
 };
+
+// Of the points that are not told yet.
+void turnsWithin(const std::vector<Point<AcquisitionSpace>>& points,
+                 std::span<const Direction<AcquisitionSpace>> normals, double reach,
+                 std::vector<SymmetricMatrix>& turns, std::vector<std::uint8_t>& told) {
+  const PointsAround around(points, reach);
+  parallelFor(points.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      if (told[i]) continue;
+      const Vec3 n = normals[i].raw(), u = anyPerpendicular(normals[i]).raw(), v = cross(n, u);
+      SlopeSums sums;
+      around(i, [&](std::uint32_t j) {
+        const Vec3 from = points[j].raw() - points[i].raw(), m = normals[j].raw();
+        const double same = dot(m, n);
+        if (same > kSameWay)
+          sums.add(square(1 - dot(from, from) / square(reach)), dot(from, u), dot(from, v), dot(m, u) / same,
+                   dot(m, v) / same);
+      });
+      const auto turn = sums.turn(u, v);
+      if (turn) turns[i] = *turn, told[i] = true;
+    }
+  });
+}
 
 }  // namespace
 
@@ -56,22 +82,11 @@ SymmetricMatrix symmetricInPlane(double a, double b, double c, const Vec3& u, co
 std::vector<SymmetricMatrix> normalTurns(const std::vector<Point<AcquisitionSpace>>& points,
                                          std::span<const Direction<AcquisitionSpace>> normals, double reach) {
   std::vector<SymmetricMatrix> turns(points.size());
-  if (!(reach > 0)) return turns;
-  const PointsAround around(points, reach);
-  parallelFor(points.size(), kChunk, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      const Vec3 n = normals[i].raw(), u = anyPerpendicular(normals[i]).raw(), v = cross(n, u);
-      SlopeSums sums;
-      around(i, [&](std::uint32_t j) {
-        const Vec3 from = points[j].raw() - points[i].raw(), m = normals[j].raw();
-        const double same = dot(m, n);
-        if (same > kSameWay)
-          sums.add(square(1 - dot(from, from) / square(reach)), dot(from, u), dot(from, v), dot(m, u) / same,
-                   dot(m, v) / same);
-      });
-      turns[i] = sums.turn(u, v);
-    }
-  });
+  std::vector<std::uint8_t> told(points.size(), !(reach > 0));
+  for (int wider = 0; wider <= kMostDoublings; ++wider, reach *= 2) {
+    if (std::all_of(told.begin(), told.end(), [](std::uint8_t is) { return is; })) break;
+    turnsWithin(points, normals, reach, turns, told);
+  }
   return turns;
 }
 

@@ -25,8 +25,8 @@ using SymmetricMatrix = std::array<float, 6>;
 SymmetricMatrix symmetricInPlane(double a, double b, double c, const Vec3& u, const Vec3& v);
 
 /// How the normal of each point turns along the surface, radians a unit (the shape operator; its sign means nothing):
-/// the straight fit to the normals of the points nearer than `reach`, units, that face the same way. 0 where they are
-/// too few to tell.
+/// the straight fit to the normals of the points nearer than `reach`, units, that face the same way; up to eight times
+/// as far where these are too few to tell, and 0 where those are.
 std::vector<SymmetricMatrix> normalTurns(const std::vector<Point<AcquisitionSpace>>& points,
                                          std::span<const Direction<AcquisitionSpace>> normals, double reach);
 

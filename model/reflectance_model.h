@@ -8,8 +8,8 @@
 // D: Trowbridge-Reitz (GGX) with alpha along t and b = n x t (Burley 2012, appendix B); G1: Smith, separable (Walter et
 // al. 2007, Heitz 2014). F rises from 0 to 1 at grazing angles as Fresnel's equations have it for refractive index 1.5,
 // where ks is 0.04; between 1.3 and 1.8 its shape differs little. (Schlick's fifth power is up to a quarter too low
-// between 40 and 60 degrees; a fit makes up for that with a higher, narrower lobe.) Each coefficient is one per channel,
-// so M is linear in them: four scalar functions a light.
+// between 40 and 60 degrees; a fit makes up for that with a higher, narrower lobe.) Each coefficient is one per
+// channel, so M is linear in them: four scalar functions a light.
 #pragma once
 
 #include <array>

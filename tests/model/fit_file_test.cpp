@@ -44,6 +44,8 @@ struct Stored {
         point.reflectance.tangent[c] = static_cast<float>(turned[c]);
         for (auto& term : point.reflectance.coefficient) term[c] = 5 * uniform();
       }
+      point.turn = symmetricInPlane(40 * uniform() - 20, 10 * uniform() - 5, 40 * uniform() - 20, t.raw(),
+                                    cross(n.raw(), t.raw()));
       const bool rough = random() % 2;
       point.reflectance.alpha_x = rough ? 0.5f : 0.1f, point.reflectance.alpha_y = rough ? 0.5f : 0.25f;
       point.gate = uniform(), point.indirect = uniform(), point.indirect_shadow = uniform(), point.slant = uniform();
@@ -89,6 +91,7 @@ void expectSame(const ReflectanceFit& found, const ReflectanceFit& fit) {
     EXPECT_NEAR(a.indirect, b.indirect, 0.5 / 255 + 1e-6);
     EXPECT_NEAR(a.indirect_shadow, b.indirect_shadow, 0.5 / 255 + 1e-6);
     EXPECT_NEAR(a.slant, b.slant, 0.5 / 255 + 1e-6);
+    for (int k = 0; k < 6; ++k) EXPECT_NEAR(a.turn[k], b.turn[k], 20 * 4e-4);  // in the plane of the normal as stored
   }
   EXPECT_EQ(found.lit.words(), fit.lit.words());
   EXPECT_EQ(found.lit_by_rays.words(), fit.lit_by_rays.words());

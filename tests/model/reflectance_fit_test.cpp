@@ -118,6 +118,18 @@ TEST(ReflectanceFit, LittleHarmFromViewsLeftOutClosesNoGate) {
   EXPECT_LT(gates(2), 0.05);
 }
 
+// 20 pixels to the radius. Were pixels taken for points, 0.162 and 0.153 would be found.
+TEST(ReflectanceFit, ABendingSurfaceIsNotTakenForARougherOne) {
+  const test::TemporaryFolder folder;
+  test::FormulaFieldOptions options;
+  options.views = 16, options.lights = 48, options.size = 48, options.samples = 3, options.subdivision = 4;
+  const test::FormulaField field = test::makeSphereField(folder / "f.srf", options, test::glossy);
+  const auto fit = fitReflectance(field.folder, field.manifest, field.model, {}, Reporter::silent());
+  const PointReflectance& found = fit->points[0].reflectance;
+  EXPECT_NEAR(found.alpha_x, 0.15, 0.05 * 0.15);
+  EXPECT_EQ(found.alpha_x, found.alpha_y);
+}
+
 // One view under a few lights: by a dozen samples alone noise would close the gates of 15 of these points.
 TEST(ReflectanceFit, ChanceClosesNoGateWhereSamplesAreFew) {
   const test::TemporaryFolder folder;

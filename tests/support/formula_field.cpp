@@ -79,21 +79,29 @@ FormulaField makeSphereField(const std::filesystem::path& srf_folder, const Form
                                                   std::vector<std::uint16_t>(geometry.blockHalves(), 0));
     for (int y = 0; y < options.size; ++y)
       for (int x = 0; x < options.size; ++x) {
-        const auto ray = view.camera.ray({x + 0.5, y + 0.5});
-        const Vec3 o = eye, d = ray->direction.raw();  // in radii about the middle
-        const double b = dot(o, d), root = b * b - (dot(o, o) - 1);
-        if (root <= 0) continue;
-        const Vec3 p = o + (-b - std::sqrt(root)) * d;
+        std::vector<Vec3> sum(options.lights);
+        const int n = options.samples;
+        bool met = true;
+        for (int k = 0; k < n * n && met; ++k) {
+          const auto ray = view.camera.ray({x + (k % n + 0.5) / n, y + (k / n + 0.5) / n});
+          const Vec3 o = eye, d = ray->direction.raw();  // in radii about the middle
+          const double b = dot(o, d), root = b * b - (dot(o, o) - 1);
+          met = root > 0;
+          if (!met) break;
+          const Vec3 p = o + (-b - std::sqrt(root)) * d;
+          const Point<AcquisitionSpace> point(options.middle + options.radius * p);
+          for (int j = 0; j < options.lights; ++j) {
+            const CaptureLight& light = manifest.lights[j];
+            sum[j] += reflectance(p, light.directionFrom(point).raw(), -d) * light.irradianceAt(point);
+          }
+        }
+        if (!met) continue;
         coverage.at(x, y) = 255;
         auto& tile = tiles[static_cast<std::size_t>(y / kTile) * geometry.tiles_x + x / kTile];
         std::uint16_t* texel = tile.data() + ((y % kTile) * kTile + x % kTile) * geometry.texelHalves();
-        const Point<AcquisitionSpace> point(options.middle + options.radius * p);
-        for (int j = 0; j < options.lights; ++j) {
-          const CaptureLight& light = manifest.lights[j];
-          const Vec3 radiance = reflectance(p, light.directionFrom(point).raw(), -d) * light.irradianceAt(point);
+        for (int j = 0; j < options.lights; ++j)
           for (int c = 0; c < 3; ++c)
-            texel[c * geometry.lightPad() + j] = halfFromFloat(static_cast<float>(radiance[c]));
-        }
+            texel[c * geometry.lightPad() + j] = halfFromFloat(static_cast<float>(sum[j][c] / (n * n)));
       }
     view.file = "views/" + view.name + ".blk";
     ReflectanceStoreWriter writer(srf_folder / view.file, geometry, coverage, options.coding);

@@ -17,6 +17,7 @@ using ReflectanceFormula = std::function<Vec3(const Vec3& p, const Vec3& l, cons
 struct FormulaFieldOptions {
   int views = 24, lights = 64;  ///< on Fibonacci spheres
   int size = 64;                ///< pixels a side
+  int samples = 1;              ///< rays a side of a pixel, which holds their mean, or nothing where one misses
   int subdivision = 5;          ///< of an octahedron: 8 * 4^n triangles
   double view_distance = 4;
   bool near_lights = false;  ///< point lights at distance 3 instead of directional ones
