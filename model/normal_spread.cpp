@@ -7,7 +7,6 @@
 
 #include "base/numeric.h"
 #include "base/parallel.h"
-#include "field/bilinear_fetch.h"
 #include "model/points_around.h"
 
 namespace srf {
@@ -17,7 +16,6 @@ constexpr std::size_t kChunk = 256;   // points
 constexpr double kSameWay = 0.5;      // cosine between normals of one surface
 constexpr double kEvenly = 1e-3;      // of the points around: determinant over squared trace of where they lie
 constexpr int kMostDoublings = 3;     // of the reach, where points lie farther apart
-constexpr double kSquare = 1.0 / 12;  // variance of the unit square along a side
 constexpr double kLeastCosine = 0.3;  // a pixel's deviation reaches as far as the points around, 1.7 pixels
 constexpr float kOfLongTails = 3;     // see the top of the header
 
@@ -88,21 +86,6 @@ std::vector<SymmetricMatrix> normalTurns(const std::vector<Point<AcquisitionSpac
     turnsWithin(points, normals, reach, turns, told);
   }
   return turns;
-}
-
-double pixelVariance(double pixel_size) {
-  return kSquare * square(pixel_size);
-}
-
-double photographVariance(const Camera<AcquisitionSpace>& camera, const Camera<AcquisitionSpace>::Projection& at,
-                          int level) {
-  // Between two texels it is as far off as the one or the other.
-  const auto between = [level](double place) {
-    const double part = texelAndPart(place - 0.5).part;
-    return level > 0 ? 1.0 / 6 : part * (1 - part);  // of coarser texels the mean
-  };
-  const double size = camera.pixelFootprint(at.depth) * (1 << level);
-  return (kSquare + 0.5 * (between(at.pixel.x) + between(at.pixel.y))) * square(size);
 }
 
 SymmetricMatrix normalSpread(const SymmetricMatrix& turn, const Direction<AcquisitionSpace>& normal,

@@ -14,7 +14,7 @@
 #include <span>
 #include <vector>
 
-#include "base/camera.h"
+#include "base/space.h"
 #include "model/reflectance_model.h"
 
 namespace srf {
@@ -31,11 +31,12 @@ std::vector<SymmetricMatrix> normalTurns(const std::vector<Point<AcquisitionSpac
                                          std::span<const Direction<AcquisitionSpace>> normals, double reach);
 
 /// Where the light of a pixel's value comes from, on a plane that faces the camera: variance along any axis of it, in
-/// squares of units. Of a pixel as it is, whose square light comes from alike ...
-double pixelVariance(double pixel_size);
-/// ... and of a value between the texels about `at`, of a photograph's `level` (0: as it was taken).
-double photographVariance(const Camera<AcquisitionSpace>& camera, const Camera<AcquisitionSpace>::Projection& at,
-                          int level = 0);
+/// squares of the pixel's size. Of a pixel as it is, whose square light comes from alike ...
+inline constexpr double kPixelVariance = 1.0 / 12;
+/// ... and of a value between texels, `x` and `y` of the way on to the next one (0 to 1).
+constexpr double betweenTexelsVariance(double x, double y) {
+  return kPixelVariance + 0.5 * (x * (1 - x) + y * (1 - y));
+}
 
 /// Variance of the normal, radians squared, over what is seen along `view` and has `variance` on a plane that faces it:
 /// the part of a slanted surface is as much longer, up to where normalTurns looked.

@@ -7,6 +7,7 @@
 
 #include "base/half.h"
 #include "base/numeric.h"
+#include "field/bilinear_fetch.h"
 
 namespace srf {
 namespace {
@@ -181,8 +182,12 @@ void PointSamples::load(const FitInput& input, std::size_t i, const Direction<Ac
     const Direction<AcquisitionSpace> direction = camera.viewDirection(p);
     for (int c = 0; c < 3; ++c) view.direction[c] = static_cast<float>(direction.raw()[c]);
     view.cosine = static_cast<float>(dot(normal, direction));
-    if (const auto seen = camera.project(p))
-      view.spread = normalSpread(input.turns[i], normal, direction, photographVariance(camera, *seen));
+    if (const auto seen = camera.project(p)) {
+      const double variance =
+          betweenTexelsVariance(texelAndPart(seen->pixel.x - 0.5).part, texelAndPart(seen->pixel.y - 0.5).part);
+      view.spread =
+          normalSpread(input.turns[i], normal, direction, variance * square(camera.pixelFootprint(seen->depth)));
+    }
     view.lights = static_cast<std::uint32_t>(which);
     view.first = samples_;
     view.around = input.visibility.seen_around.get(i, at.view);

@@ -80,7 +80,8 @@ void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model,
 /// Of the light that one sample of a pixel stands for (GuidedQuery::variance).
 double sampleVariance(const FramePlan& plan, const SurfaceHit& hit) {
   const double depth = dot(plan.camera.forward(), hit.p_star - plan.camera.center());
-  return pixelVariance(plan.camera.pixelFootprint(depth)) / static_cast<double>(plan.pattern.size());
+  const double size = plan.camera.pixelFootprint(depth);
+  return kPixelVariance * size * size / static_cast<double>(plan.pattern.size());
 }
 
 }  // namespace

@@ -43,6 +43,16 @@ void putCaptured(const AcquiredLights& list, std::uint32_t i, const Point<Acquis
   }
 }
 
+/// Of what a photograph's value at p stands for (normalSpread).
+double photographVariance(const Camera<AcquisitionSpace>& camera, const Fetch& fetch,
+                          const Point<AcquisitionSpace>& p) {
+  const double size = camera.pixelFootprint(dot(camera.forward(), p - camera.center())) * (1 << fetch.level);
+  const auto [first, right, below, last] = fetch.tap;
+  const float sum = first + right + below + last;
+  if (!(sum > 0)) return kPixelVariance * size * size;
+  return betweenTexelsVariance((right + last) / sum, (below + last) / sum) * size * size;
+}
+
 }  // namespace
 
 void GuidedBlock::Captured::resize(std::size_t lanes) {
@@ -557,37 +567,32 @@ std::uint32_t GuidedLighting::gather(GuidedBlock& block, std::size_t index, std:
   return out.append(weights, list.count());
 }
 
-PointReflectance GuidedLighting::photographedBy(const GuidedBlock::Hit& hit, std::uint32_t list) const {
-  if (hit.turn == SymmetricMatrix{}) return hit.reflectance;
-  const Point<AcquisitionSpace>& p = hit.query.look_up->p;
-  const auto [nx, ny, nz] = hit.reflectance.normal;
-  const auto n = Direction<AcquisitionSpace>::fromUnit({nx, ny, nz});
-  SymmetricMatrix sum{};
-  double share = 0;
-  for (const ChosenView& chosen : hit.query.chosen) {
-    const Camera<AcquisitionSpace>& camera = views_[chosen.view].camera;
-    const auto at = list_of_view_[chosen.view] == list ? camera.project(p) : std::nullopt;
-    if (!at) continue;
-    const SymmetricMatrix spread =
-        normalSpread(hit.turn, n, camera.viewDirection(p), photographVariance(camera, *at, chosen.fetch.level));
-    for (int k = 0; k < 6; ++k) sum[k] += static_cast<float>(chosen.weight) * spread[k];
-    share += chosen.weight;
-  }
-  for (float& s : sum) s = share > 0 ? s / static_cast<float>(share) : 0.f;
-  return seenThrough(hit.reflectance, sum);
-}
-
 void GuidedLighting::takeAway(GuidedBlock& block, std::span<std::array<double, 3>> colors) const {
   for (const GuidedBlock::Taken& taken : block.taken) {
     const GuidedBlock::Hit& hit = block.hits[taken.hit];
-    const PointReflectance photographed = photographedBy(hit, taken.list);
-    ModelOfPoint model = modelOfPoint(photographed);
-    block.model_views.clear();
+    const Point<AcquisitionSpace>& p = hit.query.look_up->p;
+    const auto [nx, ny, nz] = hit.reflectance.normal;
+    const auto normal = Direction<AcquisitionSpace>::fromUnit({nx, ny, nz});
+    // The lobe as these photographs show it, in their mean.
+    block.sights.clear();
+    SymmetricMatrix spread{};
+    float share = 0;
     for (const ChosenView& chosen : hit.query.chosen) {
       if (list_of_view_[chosen.view] != taken.list) continue;
-      const std::array<float, 3> view = floats(views_[chosen.view].camera.viewDirection(hit.query.look_up->p).raw());
-      block.model_views.push_back(addView(model, photographed, view, static_cast<float>(chosen.weight)));
+      const Camera<AcquisitionSpace>& camera = views_[chosen.view].camera;
+      const Direction<AcquisitionSpace> view = camera.viewDirection(p);
+      const auto weight = static_cast<float>(chosen.weight);
+      block.sights.push_back({floats(view.raw()), weight});
+      const SymmetricMatrix of_view = normalSpread(hit.turn, normal, view, photographVariance(camera, chosen.fetch, p));
+      for (int k = 0; k < 6; ++k) spread[k] += weight * of_view[k];
+      share += weight;
     }
+    for (float& s : spread) s = share > 0 ? s / share : 0;
+    const PointReflectance photographed = seenThrough(hit.reflectance, spread);
+    ModelOfPoint model = modelOfPoint(photographed);
+    block.model_views.clear();
+    for (const GuidedBlock::Sight& sight : block.sights)
+      block.model_views.push_back(addView(model, photographed, sight.view, sight.weight));
     const std::array<float, 3> sum =
         modelSums(model, block.model_views.data(), block.model_views.size(), lanesOf(block.used_direction, taken.first),
                   channels(std::as_const(block.used_amount), taken.first), paddedLanes(taken.count));

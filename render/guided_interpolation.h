@@ -46,7 +46,7 @@ struct GuidedQuery {
   Direction<AcquisitionSpace> view;    ///< v
   std::span<const ChosenView> chosen;  ///< weights sum 1
   ShadowCell cell;                     ///< hits of a cell follow one another
-  double variance = 0;                 ///< pixelVariance of the sample of the picture, seen from the eye
+  double variance = 0;                 ///< of what the picture's sample stands for (normalSpread)
 };
 
 /// The hits of one block of pixels on their way, and memory for it. Arrays hold whole kernel widths (paddedLanes).
@@ -104,6 +104,11 @@ struct GuidedBlock {
   std::vector<float> shown, energy;                     ///< CapturedShadow, and of distantSums
   std::vector<float> shared, keys;
   std::vector<ModelView> model_views;
+  struct Sight {
+    std::array<float, 3> view;
+    float weight;
+  };
+  std::vector<Sight> sights;          ///< of the views of a list that a hit is made of
   std::array<SharedKey, 4> last_key;  ///< the corners that the hit before asked for
   std::array<const SharedStandIns::Corner*, 4> last_corner{};
   std::vector<Penalised> order;
@@ -196,8 +201,6 @@ class GuidedLighting {
   /// How all distant lights at once are spread, by weights that hits of like orientation share.
   ResidualShares spreadShared(GuidedBlock& block, std::size_t index, std::uint32_t list,
                               std::array<float, 3>& sum) const;
-  /// The lobe as the photographs of a list show it, those that the hit is made of in their mean.
-  PointReflectance photographedBy(const GuidedBlock::Hit& hit, std::uint32_t list) const;
   const SharedStandIns::Corner& corner(GuidedBlock& block, int slot, const SharedKey& key) const;
 
   const ReflectanceFit& fit_;
