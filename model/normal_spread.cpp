@@ -16,7 +16,8 @@ constexpr std::size_t kChunk = 256;   // points
 constexpr double kSameWay = 0.5;      // cosine between normals of one surface
 constexpr double kEvenly = 1e-3;      // of the points around: determinant over squared trace of where they lie
 constexpr int kMostDoublings = 3;     // of the reach, where points lie farther apart
-constexpr double kLeastCosine = 0.3;  // a pixel's deviation reaches as far as the points around, 1.7 pixels
+constexpr float kLeastCosine = 0.3f;  // a pixel's deviation reaches as far as the points around, 1.7 pixels
+constexpr float kAlike = 0.01f;       // axes of a lobe that differ by less are made one, which is faster to draw
 constexpr float kOfLongTails = 3;     // see the top of the header
 
 // Sums over weighted places (x, y) in a tangent plane and the slopes (a, b) of the normals there.
@@ -88,20 +89,26 @@ std::vector<SymmetricMatrix> normalTurns(const std::vector<Point<AcquisitionSpac
   return turns;
 }
 
-SymmetricMatrix normalSpread(const SymmetricMatrix& turn, const Direction<AcquisitionSpace>& normal,
-                             const Direction<AcquisitionSpace>& view, double variance) {
+SymmetricMatrix partSeen(const std::array<float, 3>& normal, const std::array<float, 3>& view, float variance) {
+  const auto [nx, ny, nz] = normal;
+  const float cosine = nx * view[0] + ny * view[1] + nz * view[2], least = std::max(cosine, kLeastCosine);
+  const float x = view[0] - cosine * nx, y = view[1] - cosine * ny, z = view[2] - cosine * nz;  // down the slope
+  const float longer = variance * (1 / (least * least) - 1) / std::max(1 - cosine * cosine, 1e-6f);
+  return {variance + longer * x * x, longer * x * y, longer * x * z,
+          variance + longer * y * y, longer * y * z, variance + longer * z * z};
+}
+
+SymmetricMatrix normalSpread(const SymmetricMatrix& turn, const SymmetricMatrix& part) {
   const auto [xx, xy, xz, yy, yz, zz] = turn;
-  const Mat3 m{{Vec3{xx, xy, xz}, Vec3{xy, yy, yz}, Vec3{xz, yz, zz}}};
-  const double cosine = std::max(dot(normal, view), kLeastCosine);
-  const Vec3 slope = view.raw() - dot(normal, view) * normal.raw();
-  const double squared = dot(slope, slope);
-  const double longer = squared > 1e-12 ? (1 / square(cosine) - 1) / squared : 0;
-  const Vec3 along = m * slope;
+  const std::array<float, 3> row[3] = {{xx, xy, xz}, {xy, yy, yz}, {xz, yz, zz}};
+  const auto [pxx, pxy, pxz, pyy, pyz, pzz] = part;
   SymmetricMatrix spread;
   int at = 0;
-  for (int i = 0; i < 3; ++i)
-    for (int j = i; j < 3; ++j)
-      spread[at++] = static_cast<float>(variance * (dot(m.row[i], m.row[j]) + longer * along[i] * along[j]));
+  for (int i = 0; i < 3; ++i) {
+    const auto [x, y, z] = row[i];
+    const float px = pxx * x + pxy * y + pxz * z, py = pxy * x + pyy * y + pyz * z, pz = pxz * x + pyz * y + pzz * z;
+    for (int j = i; j < 3; ++j) spread[at++] = px * row[j][0] + py * row[j][1] + pz * row[j][2];
+  }
   return spread;
 }
 
@@ -124,7 +131,10 @@ PointReflectance seenThrough(const PointReflectance& point, const SymmetricMatri
   const auto alpha = [least](float squared) { return std::clamp(std::sqrt(std::max(squared, 0.f)), least, 1.f); };
   PointReflectance seen = point;
   seen.alpha_x = alpha(middle + root), seen.alpha_y = alpha(middle - root);
-  if (!(root > 0)) return seen;
+  if (!(root > kAlike * middle)) {
+    seen.alpha_x = seen.alpha_y = alpha(middle);
+    return seen;
+  }
   const float cosine = std::sqrt(std::max(0.5f * (1 + half / root), 0.f)),
               sine = std::copysign(std::sqrt(std::max(0.5f * (1 - half / root), 0.f)), tb);
   for (int k = 0; k < 3; ++k) seen.tangent[k] = cosine * t[k] + sine * b[k];

@@ -38,10 +38,12 @@ constexpr double betweenTexelsVariance(double x, double y) {
   return kPixelVariance + 0.5 * (x * (1 - x) + y * (1 - y));
 }
 
-/// Variance of the normal, radians squared, over what is seen along `view` and has `variance` on a plane that faces it:
-/// the part of a slanted surface is as much longer, up to where normalTurns looked.
-SymmetricMatrix normalSpread(const SymmetricMatrix& turn, const Direction<AcquisitionSpace>& normal,
-                             const Direction<AcquisitionSpace>& view, double variance);
+/// Where the light comes from on the surface: of what has `variance`, squares of units, along any axis of a plane that
+/// faces `view`, the part of a slanted surface is as much longer, up to where normalTurns looked. Sums of parts are
+/// parts.
+SymmetricMatrix partSeen(const std::array<float, 3>& normal, const std::array<float, 3>& view, float variance);
+/// Variance of the normal over a part of the surface, radians squared.
+SymmetricMatrix normalSpread(const SymmetricMatrix& turn, const SymmetricMatrix& part);
 
 /// The lobe as it is seen where the normal spreads.
 PointReflectance seenThrough(const PointReflectance& point, const SymmetricMatrix& spread);

@@ -144,6 +144,8 @@ LightLists::LightLists(const SrfManifest& field) {
 
 void PointSamples::load(const FitInput& input, std::size_t i, const Direction<AcquisitionSpace>& normal) {
   const Point<AcquisitionSpace>& p = input.model.p0[i];
+  const std::array<float, 3> n{static_cast<float>(normal.raw().x), static_cast<float>(normal.raw().y),
+                               static_cast<float>(normal.raw().z)};
   views_.clear();
   std::size_t used = 0;  // of lights_, whose memory stays
   samples_ = 0;
@@ -184,9 +186,9 @@ void PointSamples::load(const FitInput& input, std::size_t i, const Direction<Ac
     view.cosine = static_cast<float>(dot(normal, direction));
     if (const auto seen = camera.project(p)) {
       const double variance =
-          betweenTexelsVariance(texelAndPart(seen->pixel.x - 0.5).part, texelAndPart(seen->pixel.y - 0.5).part);
-      view.spread =
-          normalSpread(input.turns[i], normal, direction, variance * square(camera.pixelFootprint(seen->depth)));
+          betweenTexelsVariance(texelAndPart(seen->pixel.x - 0.5).part, texelAndPart(seen->pixel.y - 0.5).part) *
+          square(camera.pixelFootprint(seen->depth));
+      view.spread = normalSpread(input.turns[i], partSeen(n, view.direction, static_cast<float>(variance)));
     }
     view.lights = static_cast<std::uint32_t>(which);
     view.first = samples_;

@@ -168,9 +168,11 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
       normalize(Vector<AcquisitionSpace>(t - dot(n.raw(), t) * n.raw())).value_or(anyPerpendicular(n));
   to.normal = floats(n.raw());
   to.tangent = floats(tangent.raw());
-  hit.seen = seenThrough(to, normalSpread(hit.turn, n, query.view, query.variance));
+  const std::array<float, 3> view = floats(query.view.raw());
+  const SymmetricMatrix part = partSeen(to.normal, view, static_cast<float>(query.variance));
+  hit.seen = seenThrough(to, normalSpread(hit.turn, part));
   hit.model = modelOfPoint(hit.seen);
-  hit.model_view = addView(hit.model, hit.seen, floats(query.view.raw()), 1);
+  hit.model_view = addView(hit.model, hit.seen, view, 1);
   turn(hit.model, hit.model_view, query.look_up->acquisition_from_object.raw().transposed());
 }
 
@@ -571,24 +573,22 @@ void GuidedLighting::takeAway(GuidedBlock& block, std::span<std::array<double, 3
   for (const GuidedBlock::Taken& taken : block.taken) {
     const GuidedBlock::Hit& hit = block.hits[taken.hit];
     const Point<AcquisitionSpace>& p = hit.query.look_up->p;
-    const auto [nx, ny, nz] = hit.reflectance.normal;
-    const auto normal = Direction<AcquisitionSpace>::fromUnit({nx, ny, nz});
     // The lobe as these photographs show it, in their mean.
     block.sights.clear();
-    SymmetricMatrix spread{};
+    SymmetricMatrix part{};
     float share = 0;
     for (const ChosenView& chosen : hit.query.chosen) {
       if (list_of_view_[chosen.view] != taken.list) continue;
       const Camera<AcquisitionSpace>& camera = views_[chosen.view].camera;
-      const Direction<AcquisitionSpace> view = camera.viewDirection(p);
       const auto weight = static_cast<float>(chosen.weight);
-      block.sights.push_back({floats(view.raw()), weight});
-      const SymmetricMatrix of_view = normalSpread(hit.turn, normal, view, photographVariance(camera, chosen.fetch, p));
-      for (int k = 0; k < 6; ++k) spread[k] += weight * of_view[k];
+      block.sights.push_back({floats(camera.viewDirection(p).raw()), weight});
+      const SymmetricMatrix of_view = partSeen(hit.reflectance.normal, block.sights.back().view,
+                                               static_cast<float>(photographVariance(camera, chosen.fetch, p)));
+      for (int k = 0; k < 6; ++k) part[k] += weight * of_view[k];
       share += weight;
     }
-    for (float& s : spread) s = share > 0 ? s / share : 0;
-    const PointReflectance photographed = seenThrough(hit.reflectance, spread);
+    for (float& of_part : part) of_part = share > 0 ? of_part / share : 0;
+    const PointReflectance photographed = seenThrough(hit.reflectance, normalSpread(hit.turn, part));
     ModelOfPoint model = modelOfPoint(photographed);
     block.model_views.clear();
     for (const GuidedBlock::Sight& sight : block.sights)

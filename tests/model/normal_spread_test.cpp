@@ -42,10 +42,11 @@ TEST(NormalSpread, ACylinderTurnsRoundItsAxisAndNotAlongIt) {
 }
 
 TEST(NormalSpread, AslantAPixelSpreadsAsMuchMoreAsItIsLonger) {
-  const Normal n = Normal::fromUnit({0, 0, 1});
   const SymmetricMatrix sphere = symmetricInPlane(0.5, 0, 0.5, {1, 0, 0}, {0, 1, 0});
-  const SymmetricMatrix facing = normalSpread(sphere, n, n, 0.04),
-                        aslant = normalSpread(sphere, n, Normal::fromUnit({0, 0.8, 0.6}), 0.04);
+  const auto seen = [&](const std::array<float, 3>& view) {
+    return normalSpread(sphere, partSeen({0, 0, 1}, view, 0.04f));
+  };
+  const SymmetricMatrix facing = seen({0, 0, 1}), aslant = seen({0, 0.8f, 0.6f});
   EXPECT_NEAR(along(facing, {1, 0, 0}, {1, 0, 0}), 0.01, 1e-6);
   EXPECT_NEAR(along(facing, {0, 1, 0}, {0, 1, 0}), 0.01, 1e-6);
   EXPECT_NEAR(along(aslant, {1, 0, 0}, {1, 0, 0}), 0.01, 1e-6);
