@@ -275,8 +275,8 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
       const std::size_t end = std::min(met.size(), first + guided->hitsAtOnce());
       guided_queries.clear();
       for (std::size_t m = first; m < end; ++m)
-          guided_queries.push_back({&hits[met[m]], &look_ups[m], queries[m].view, chosen.of(m),
-                                    cellOf(pixels[met[m]]), sampleVariance(plan, hits[met[m]])});
+        guided_queries.push_back({&hits[met[m]], &look_ups[m], queries[m].view, chosen.of(m), cellOf(pixels[met[m]]),
+                                  sampleVariance(plan, hits[met[m]])});
       guided->evaluate(guided_queries, guided_block);
       lap(kModelValues);
       guided->castShadows(guided_block);
