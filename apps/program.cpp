@@ -15,6 +15,8 @@
 namespace srf {
 namespace {
 
+constexpr std::size_t kLeastMemory = std::size_t{8} << 20;
+
 std::size_t machineMemory() {
   return static_cast<std::size_t>(::sysconf(_SC_PHYS_PAGES)) * static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
 }
@@ -113,21 +115,17 @@ int Program::run(int argc, char** argv, const std::function<void(Reporter&)>& bo
   return code;
 }
 
-// A budget below what the program holds before any work cannot be kept. Its libraries count too, but their pages are
-// shared and can be dropped: below these it works, as a process larger than the budget.
+// The program with its libraries counts too: a smaller budget cannot be kept, yet it keeps small what comes besides.
 void Program::requireMemory(Reporter& reporter) const {
   if (memory_text_.empty()) return;
-  const auto mebibytes = [](std::size_t bytes) { return std::to_string((bytes >> 20) + 1) + " MiB"; };
-  const std::size_t own = ownBytes(), resident = residentBytes();
-  const std::string libraries = mebibytes(resident) + " with its libraries";
-  if (memory_bytes_ < own)
+  if (memory_bytes_ < kLeastMemory)
     throw Error(ErrorKind::out_of_budget,
-                "found '" + memory_text_ + "', which is less than the program holds before any work, " +
-                    mebibytes(own) + " and " + libraries + "; give " + mebibytes(2 * resident) + " or more",
+                "found '" + memory_text_ + "', expected at least " + std::to_string(kLeastMemory >> 20) +
+                    "M: a few blocks of photographs must have room",
                 "--memory");
-  if (memory_bytes_ < resident)
-    reporter.warn("--memory " + memory_text_ + " cannot be kept: the program holds " + libraries +
-                  " before any work; what it takes besides is kept small");
+  if (const std::size_t held = residentBytes(); memory_bytes_ < held)
+    reporter.warn("--memory " + memory_text_ + " cannot be kept: the program holds " +
+                  std::to_string((held >> 20) + 1) + " MiB with its libraries before any work; the rest is kept small");
 }
 
 void Program::writeStats(const Reporter& reporter, double seconds, int exit_code) const {

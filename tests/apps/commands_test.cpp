@@ -183,10 +183,14 @@ TEST(Commands, WrongUsageExitsWithTwo) {
   EXPECT_EQ(run({"acquire", sample().capture, "-o", "x.srf", "--memory", "lots"}).code, 2);
 }
 
-TEST(Commands, ABudgetBelowWhatTheProgramHoldsAtOnceIsRefused) {
-  expectMessage(run({"info", sample().field, "--memory", "1K"}), 4,
-                {"--memory", "'1K'", "before any work", "MiB or more"});
-  EXPECT_EQ(run({"info", sample().field, "--memory", "4G"}).code, 0);
+TEST(Commands, ABudgetThatHoldsNoBlocksIsRefusedAndASmallOneWarnedOf) {
+  expectMessage(run({"info", sample().field, "--memory", "1K"}), 4, {"--memory", "'1K'", "at least 8M"});
+  const Outcome small = run({"info", sample().field, "--memory", "8M"}),
+                enough = run({"info", sample().field, "--memory", "4G"});
+  EXPECT_EQ(small.code, 0);
+  EXPECT_NE(small.err.find("--memory 8M cannot be kept"), std::string::npos) << small.err;
+  EXPECT_EQ(enough.code, 0);
+  EXPECT_EQ(enough.err, "");
 }
 
 TEST(Commands, StatsAreWrittenOnSuccessAndOnFailure) {
