@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <chrono>
 
+#include "base/numeric.h"
 #include "render/frame_state.h"
 #include "render/look_up.h"
 
@@ -213,10 +214,14 @@ void FrameRenderer::State::gather(const FramePlan& plan, const PixelRays& in, Ra
         supporting += Clock::now() - asked;
         if (summed) out.support.add(*hit_support);
       }
-      if (layers)
+      if (layers) {
+        double nearest = kPi;
+        for (const SourceView& view : selection->views())
+          nearest = std::min(nearest, angleBetween(queries[m].view, view.camera.viewDirection(look_ups[m].p)));
         layers->set(x, y,
-                    {hit, look_ups[m], queries[m].view, chosen.of(m), hit_support ? &*hit_support : nullptr,
+                    {hit, look_ups[m], queries[m].view, chosen.of(m), nearest, hit_support ? &*hit_support : nullptr,
                      deformed.model().kind == ModelKind::surfels ? hit.count : 1});
+      }
     }
     if (explained && pixels[met[m]] == explained->pixel) {
       const auto views = chosen.of(m);

@@ -80,9 +80,7 @@ void Layers::set(int x, int y, const LayerValues& at) {
     put(x, y, "view." + std::to_string(i), at.chosen[i].view);
     put(x, y, "view.weight." + std::to_string(i), at.chosen[i].weight);
   }
-  double nearest = kPi;
-  for (const ChosenView& chosen : at.chosen) nearest = std::min(nearest, chosen.angle);
-  put(x, y, "confidence", degrees(nearest));
+  put(x, y, "confidence", degrees(at.nearest_view));
   if (!at.support) return;
   put(x, y, "light_angle", at.support->light_angle);
   put(x, y, "extrapolation", at.support->view_far ? 1 : at.support->light_far);

@@ -23,6 +23,7 @@ struct LayerValues {
   const LookUp& look_up;
   const Direction<AcquisitionSpace>& view;
   std::span<const ChosenView> chosen;
+  double nearest_view;        ///< radians from v to the direction of the nearest acquired view, used or not
   const HitSupport* support;  ///< null where no layer asks for it
   int surfaces;               ///< blended at the hit: overlapping splats, or one triangle
 };
