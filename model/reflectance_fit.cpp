@@ -45,6 +45,7 @@ constexpr double kLostLittle = 0.1, kLostMuch = 0.2;
 constexpr double kFewLose = 5, kManyLose = 8;
 constexpr double kSamplesThatTell = 12;  // whether guidance helps at a point
 constexpr double kOffReach = 2;          // of aroundReach: where a hull is off, so is what lies around it
+constexpr double kBumps = 8;             // of the positional error: a carved surface is bumpy over less
 constexpr int kRounds = 3;               // of robust weights
 constexpr float kLeastAlpha = 0.02f, kMostAlpha = 1.f;
 
@@ -425,7 +426,8 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   CapturedVisibility visibility = castCapturedVisibility(field, model, normals, reporter);
   const LightLists lists(field);
   const double reach = aroundReach(field, model);
-  std::vector<SymmetricMatrix> turns = normalTurns(model.p0, normals, reach);
+  const double even = std::max(reach, kBumps * model.positional_error);
+  std::vector<SymmetricMatrix> turns = normalTurns(model.p0, normals, even);
   const FitInput input{field, model, lists, samples, visibility, turns};
   const bool is_hull = model.shape == "hull";
 
@@ -462,7 +464,7 @@ std::optional<ReflectanceFit> fitReflectance(const std::filesystem::path& srf_fo
   ReflectanceFit fit;
   if (is_hull) {
     correctHull(input, materials, normals, visibility, reporter);
-    turns = normalTurns(model.p0, normals, reach);
+    turns = normalTurns(model.p0, normals, even);
   }
   fit.points.resize(model.size());
   fit.worse = VisibilityBits(model.size(), field.lights.size());
