@@ -112,10 +112,10 @@ TEST_F(GuidedInterpolationTest, CapturedViewAndLightAreThePhotographWhateverTheM
   ReflectanceFit fit = fitOf(*odd_, 1);
   for (FittedPoint& point : fit.points) {
     point.reflectance.alpha_x = point.reflectance.alpha_y = 0.4f;  // wrong
-    // So is this: it bends ten times as much as the sphere.
+    // So is this: it bends thirty times as much as the sphere.
     const Vec3 n{point.reflectance.normal[0], point.reflectance.normal[1], point.reflectance.normal[2]};
     const Vec3 u{point.reflectance.tangent[0], point.reflectance.tangent[1], point.reflectance.tangent[2]};
-    point.turn = symmetricInPlane(10, 0, 10, u, cross(n, u));
+    point.turn = symmetricInPlane(30, 0, 30, u, cross(n, u));
   }
   const auto& captured = odd_->manifest.views[5].camera;
   Camera<ObjectSpace> camera;
