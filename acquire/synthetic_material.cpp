@@ -12,7 +12,6 @@ namespace {
 
 constexpr double kGrazing = 1e-3;  // least n.v: at silhouettes a sampled point may lie a hair beyond the horizon
 constexpr double kPlasticAlpha = 0.15, kRoughAlpha = 0.35, kGlossAlpha = 0.025, kGlassAlpha = 0.05;
-constexpr double kCoatF0 = 0.04;
 constexpr double kBrushAlong = 0.1, kBrushAcross = 0.4;
 constexpr Vec3 kCopperF0{0.95, 0.64, 0.54};
 constexpr double kVelvetWidth = 0.5;
@@ -121,6 +120,13 @@ ShadingPoint shadingPointOf(SyntheticMaterial material, const Point<AcquisitionS
   return point;
 }
 
+double dielectricReflectance(double cosine) {
+  const double inside = std::sqrt(1 - (1 - cosine * cosine) / square(kDielectricIndex));
+  const double along = (kDielectricIndex * cosine - inside) / (kDielectricIndex * cosine + inside);
+  const double across = (cosine - kDielectricIndex * inside) / (cosine + kDielectricIndex * inside);
+  return 0.5 * (square(along) + square(across));
+}
+
 Vec3 brdf(const ShadingPoint& point, const Direction<AcquisitionSpace>& light,
           const Direction<AcquisitionSpace>& view) {
   const double nl = dot(point.normal, light);
@@ -133,15 +139,15 @@ Vec3 brdf(const ShadingPoint& point, const Direction<AcquisitionSpace>& light,
           0};
   d.h = d.l + d.v;
   d.hh = dot(d.h, d.h);
-  const double grazing = power5(std::max(0.0, 1 - 0.5 * std::sqrt(d.hh)));  // Schlick's, of l.h
+  const double l_h = std::min(0.5 * std::sqrt(d.hh), 1.0);
   switch (point.kind) {
     case SurfaceKind::coated: {
-      const auto enters = [](double cosine) { return (1 - kCoatF0) * (1 - power5(1 - cosine)); };
-      const double coat = (kCoatF0 + (1 - kCoatF0) * grazing) * ggx(d, point.alpha, point.alpha);
+      const auto enters = [](double cosine) { return 1 - dielectricReflectance(cosine); };
+      const double coat = dielectricReflectance(l_h) * ggx(d, point.alpha, point.alpha);
       return enters(d.l.z) * enters(std::min(d.v.z, 1.0)) * matt + Vec3{coat, coat, coat};
     }
-    case SurfaceKind::brushed_metal:
-      return ggx(d, kBrushAlong, kBrushAcross) * (kCopperF0 + grazing * (Vec3{1, 1, 1} - kCopperF0));
+    case SurfaceKind::brushed_metal:  // Schlick's
+      return ggx(d, kBrushAlong, kBrushAcross) * (kCopperF0 + power5(1 - l_h) * (Vec3{1, 1, 1} - kCopperF0));
     default:  // velvet
       return 0.3 * matt + velvetLobe(d) * kVelvetTint;
   }

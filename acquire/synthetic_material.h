@@ -8,6 +8,12 @@
 
 namespace srf {
 
+/// Refractive index of coats and of glass.
+inline constexpr double kDielectricIndex = 1.5;
+/// Share of unpolarised light from the air that these reflect at this cosine between ray and facet (Fresnel's
+/// equations).
+double dielectricReflectance(double cosine);
+
 /// lambert: textured, matt. plastic: the same texture under a rough dielectric coat (GGX, alpha 0.15). conductor:
 /// brushed copper (GGX, alpha 0.1 along the tangent, 0.4 across). velvet: bright towards grazing angles, faint texture.
 /// gloss: plastic with a coat that nearly mirrors (alpha 0.025): highlights narrower than the spacing of the lights.

@@ -208,22 +208,12 @@ AcquisitionMesh torusMesh(int n) {
 
 using Direction0 = Direction<AcquisitionSpace>;
 
-constexpr double kGlassIndex = 1.5;
-
 // Past a surface with normal n on the side that d comes from; eta: index there over index beyond. Along the surface
 // where nothing passes (rounding alone leads there: a ray leaves a ball as steeply as it came in).
 Direction0 refracted(const Direction0& d, const Direction0& n, double eta) {
   const double cosine = -dot(d, n), k = 1 - eta * eta * (1 - cosine * cosine);
   const auto along = eta * Vector<AcquisitionSpace>(d) + (eta * cosine - std::sqrt(std::max(k, 0.0))) * n;
   return normalize(along).value_or(d);
-}
-
-// Fresnel's share of reflected unpolarised light that comes from the air at this cosine.
-double reflectedShare(double cosine) {
-  const double inside = std::sqrt(1 - (1 - cosine * cosine) / square(kGlassIndex));
-  const double along = (kGlassIndex * cosine - inside) / (kGlassIndex * cosine + inside);
-  const double across = (cosine - kGlassIndex * inside) / (cosine + kGlassIndex * inside);
-  return 0.5 * (square(along) + square(across));
 }
 
 // Of ball_on_plate.
@@ -353,15 +343,15 @@ std::vector<SyntheticObject::Seen> SyntheticObject::seenAt(const Point<Acquisiti
   if (material_ != SyntheticMaterial::glass || !onBall(p.raw())) return seen;
   const auto& [ball, plate] = kBallOnPlate;
   const Direction0 n = seen[0].point.normal;
-  const double cosine = std::clamp(dot(n, view), 0.0, 1.0), mirrored = reflectedShare(cosine);
+  const double cosine = std::clamp(dot(n, view), 0.0, 1.0), mirrored = dielectricReflectance(cosine);
   const auto add = [&](const Vec3& from, const Direction0& along, double weight) {
     if (const auto met = march(plate, from, along.raw()))
       seen.push_back({shadingPoint(project(Point<AcquisitionSpace>(*met))), -along, weight});
   };
-  const Direction0 inside = refracted(-view, n, 1 / kGlassIndex);
+  const Direction0 inside = refracted(-view, n, 1 / kDielectricIndex);
   const Vec3 leaves = p.raw() + std::max(0.0, -2 * ball.radius * dot(n, inside)) * inside.raw();
   const Direction0 out = normalize(Vector<AcquisitionSpace>(leaves - ball.center)).value_or(n);
-  add(leaves, refracted(inside, -out, kGlassIndex), square(1 - mirrored));
+  add(leaves, refracted(inside, -out, kDielectricIndex), square(1 - mirrored));
   add(p.raw(), normalize(2 * cosine * n - Vector<AcquisitionSpace>(view)).value_or(n), mirrored);
   return seen;
 }

@@ -12,13 +12,12 @@
 namespace srf {
 namespace {
 
-constexpr std::size_t kChunk = 256;   // points
-constexpr double kSameWay = 0.5;      // cosine between normals of one surface
-constexpr double kEvenly = 1e-3;      // of the points around: determinant over squared trace of where they lie
-constexpr int kMostDoublings = 3;     // of the reach, where points lie farther apart
-constexpr float kLeastCosine = 0.3f;  // a pixel's deviation reaches as far as the points around, 1.7 pixels
-constexpr float kAlike = 0.01f;       // axes of a lobe that differ by less are made one, which is faster to draw
-constexpr float kOfLongTails = 3;     // see the top of the header
+constexpr std::size_t kChunk = 256;  // points
+constexpr double kSameWay = 0.5;     // cosine between normals of one surface
+constexpr double kEvenly = 1e-3;     // of the points around: determinant over squared trace of where they lie
+constexpr int kMostDoublings = 3;    // of the reach, where points lie farther apart
+constexpr float kAlike = 0.01f;      // axes of a lobe that differ by less are made one, which is faster to draw
+constexpr float kOfLongTails = 3;    // see the top of the header
 
 // Sums over weighted places (x, y) in a tangent plane and the slopes (a, b) of the normals there.
 struct SlopeSums {
@@ -87,29 +86,6 @@ std::vector<SymmetricMatrix> normalTurns(const std::vector<Point<AcquisitionSpac
     turnsWithin(points, normals, reach, turns, told);
   }
   return turns;
-}
-
-SymmetricMatrix partSeen(const std::array<float, 3>& normal, const std::array<float, 3>& view, float variance) {
-  const auto [nx, ny, nz] = normal;
-  const float cosine = nx * view[0] + ny * view[1] + nz * view[2], least = std::max(cosine, kLeastCosine);
-  const float x = view[0] - cosine * nx, y = view[1] - cosine * ny, z = view[2] - cosine * nz;  // down the slope
-  const float longer = variance * (1 / (least * least) - 1) / std::max(1 - cosine * cosine, 1e-6f);
-  return {variance + longer * x * x, longer * x * y, longer * x * z,
-          variance + longer * y * y, longer * y * z, variance + longer * z * z};
-}
-
-SymmetricMatrix normalSpread(const SymmetricMatrix& turn, const SymmetricMatrix& part) {
-  const auto [xx, xy, xz, yy, yz, zz] = turn;
-  const std::array<float, 3> row[3] = {{xx, xy, xz}, {xy, yy, yz}, {xz, yz, zz}};
-  const auto [pxx, pxy, pxz, pyy, pyz, pzz] = part;
-  SymmetricMatrix spread;
-  int at = 0;
-  for (int i = 0; i < 3; ++i) {
-    const auto [x, y, z] = row[i];
-    const float px = pxx * x + pxy * y + pxz * z, py = pxy * x + pyy * y + pyz * z, pz = pxz * x + pyz * y + pzz * z;
-    for (int j = i; j < 3; ++j) spread[at++] = px * row[j][0] + py * row[j][1] + pz * row[j][2];
-  }
-  return spread;
 }
 
 PointReflectance seenThrough(const PointReflectance& point, const SymmetricMatrix& spread) {

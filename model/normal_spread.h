@@ -10,6 +10,7 @@
 // et al. 2016).
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <span>
 #include <vector>
@@ -41,9 +42,29 @@ constexpr double betweenTexelsVariance(double x, double y) {
 /// Where the light comes from on the surface: of what has `variance`, squares of units, along any axis of a plane that
 /// faces `view`, the part of a slanted surface is as much longer, up to where normalTurns looked. Sums of parts are
 /// parts.
-SymmetricMatrix partSeen(const std::array<float, 3>& normal, const std::array<float, 3>& view, float variance);
+inline SymmetricMatrix partSeen(const std::array<float, 3>& normal, const std::array<float, 3>& view, float variance) {
+  constexpr float kLeastCosine = 0.3f;  // a pixel's deviation reaches as far as the points around, 1.7 pixels
+  const auto [nx, ny, nz] = normal;
+  const float cosine = nx * view[0] + ny * view[1] + nz * view[2], least = std::max(cosine, kLeastCosine);
+  const float x = view[0] - cosine * nx, y = view[1] - cosine * ny, z = view[2] - cosine * nz;  // down the slope
+  const float longer = variance * (1 / (least * least) - 1) / std::max(1 - cosine * cosine, 1e-6f);
+  return {variance + longer * x * x, longer * x * y, longer * x * z,
+          variance + longer * y * y, longer * y * z, variance + longer * z * z};
+}
 /// Variance of the normal over a part of the surface, radians squared.
-SymmetricMatrix normalSpread(const SymmetricMatrix& turn, const SymmetricMatrix& part);
+inline SymmetricMatrix normalSpread(const SymmetricMatrix& turn, const SymmetricMatrix& part) {
+  const auto [xx, xy, xz, yy, yz, zz] = turn;
+  const std::array<float, 3> row[3] = {{xx, xy, xz}, {xy, yy, yz}, {xz, yz, zz}};
+  const auto [pxx, pxy, pxz, pyy, pyz, pzz] = part;
+  SymmetricMatrix spread;
+  int at = 0;
+  for (int i = 0; i < 3; ++i) {
+    const auto [x, y, z] = row[i];
+    const float px = pxx * x + pxy * y + pxz * z, py = pxy * x + pyy * y + pyz * z, pz = pxz * x + pyz * y + pzz * z;
+    for (int j = i; j < 3; ++j) spread[at++] = px * row[j][0] + py * row[j][1] + pz * row[j][2];
+  }
+  return spread;
+}
 
 /// The lobe as it is seen where the normal spreads.
 PointReflectance seenThrough(const PointReflectance& point, const SymmetricMatrix& spread);

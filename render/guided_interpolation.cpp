@@ -177,7 +177,7 @@ void GuidedLighting::blend(const GuidedQuery& query, GuidedBlock::Hit& hit) cons
 }
 
 std::size_t GuidedLighting::hitsAtOnce() const {
-  constexpr std::size_t kAnswers = std::size_t{3} << 16;  // lights of all hits together, 12 bytes each
+  constexpr std::size_t kAnswers = std::size_t{1} << 16;  // lights of all hits together, 12 bytes each
   return std::max<std::size_t>(kVectorLanes, kAnswers / std::max<std::size_t>(row(), 1));
 }
 

@@ -114,7 +114,10 @@ NearClusters nearClusters(const LightClusters& clusters, double angle) {
   std::sort(pairs.begin(), pairs.end());
   NearClusters result;
   result.first.assign(clusters.count() + 1, 0);
-  for (const auto& [c, other] : pairs) ++result.first[c + 1], result.other.push_back(other);
+  for (const auto& [c, other] : pairs) {
+    if (result.first[c + 1]++ == 0) result.crowded.push_back(c);
+    result.other.push_back(other);
+  }
   std::partial_sum(result.first.begin(), result.first.end(), result.first.begin());
   return result;
 }

@@ -24,6 +24,7 @@ struct LightClusters {
 /// Of each cluster those within an angle of it, radians, but itself: cluster first[c] .. first[c + 1] - 1 of `other`.
 struct NearClusters {
   std::vector<std::uint32_t> first, other;
+  std::vector<std::uint32_t> crowded;  ///< clusters that have any
   std::span<const std::uint32_t> of(std::size_t cluster) const {
     return std::span(other).subspan(first[cluster], first[cluster + 1] - first[cluster]);
   }

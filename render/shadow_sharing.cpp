@@ -1,6 +1,7 @@
 #include "render/shadow_sharing.h"
 
 #include <algorithm>
+#include <array>
 #include <numeric>
 
 #include "render/guided_kernels.h"
@@ -33,18 +34,26 @@ void SharedShadowRays::chooseEach(std::span<const float> keys, const LightCluste
 void SharedShadowRays::choose(std::span<const float> keys, const LightClusters& lights, const NearClusters& near,
                               unsigned quarter, std::size_t sharers, std::size_t most) {
   once.clear(), alike.clear();
-  const auto lit = static_cast<std::size_t>(std::count_if(keys.begin(), keys.end(), [](float key) { return key > 0; }));
+  // Lane by lane, which compilers make wide.
+  constexpr std::size_t kLanes = 16;
+  std::array<float, kLanes> lane_sum{};
+  std::array<std::uint32_t, kLanes> lane_lit{};
+  for (std::size_t i = 0; i < keys.size(); i += kLanes)
+    for (std::size_t lane = 0; lane < kLanes; ++lane)
+      lane_sum[lane] += keys[i + lane], lane_lit[lane] += keys[i + lane] > 0;
+  const auto lit = std::accumulate(lane_lit.begin(), lane_lit.end(), std::size_t{0});
   if (lit <= most) return largest(keys, most, least_of_each_, each);
 
   std::size_t own = most;
   if (sharers > 1) {
-    const float strong = kStrongLight * std::accumulate(keys.begin(), keys.end(), 0.f);
+    const float strong = kStrongLight * std::accumulate(lane_sum.begin(), lane_sum.end(), 0.f);
     const std::size_t quarter_of_all = (most + 3) / 4;
     std::size_t strong_count = 0;
-    for (std::uint32_t c = 0; c < lights.count(); ++c) {
-      if (!(keys[c] > 0)) continue;
-      float shadow = keys[c];
-      for (const std::uint32_t other : near.of(c)) shadow += keys[other];
+    for (const float key : keys) strong_count += key > strong;
+    for (const std::uint32_t light : near.crowded) {
+      if (!(keys[light] > 0) || keys[light] > strong) continue;
+      float shadow = keys[light];
+      for (const std::uint32_t other : near.of(light)) shadow += keys[other];
       strong_count += shadow > strong;
     }
     own = std::max(quarter_of_all, std::min(strong_count, most - quarter_of_all));
@@ -52,8 +61,8 @@ void SharedShadowRays::choose(std::span<const float> keys, const LightClusters& 
     rest_.assign(keys.size(), 0);
     for (std::size_t k = quarter; k < keys.size(); k += 4)
       if (as_[k] == kNone) rest_[k] = keys[k];
-    largest(rest_, sharers * (most - own), least_of_once_, once);
-    const std::size_t left = most - own - (once.size() + sharers - 1) / sharers;
+    largest(rest_, sharers * ((most - own + 1) / 2), least_of_once_, once);
+    const std::size_t left = (most - own + 1) / 2 - (once.size() + sharers - 1) / sharers;
     own += left;
     if (left > 0) {
       chooseEach(keys, lights, near, own);
@@ -62,8 +71,9 @@ void SharedShadowRays::choose(std::span<const float> keys, const LightClusters& 
   } else {
     chooseEach(keys, lights, near, own);
   }
-  for (std::uint32_t k = 0; k < lights.count(); ++k)
-    if (as_[k] != kNone && as_[k] != k) alike.push_back({k, as_[k]});
+  for (const std::uint32_t light : each)
+    for (const std::uint32_t other : near.of(light))
+      if (as_[other] == light) alike.push_back({other, light});
 }
 
 }  // namespace srf

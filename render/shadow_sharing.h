@@ -18,8 +18,8 @@ namespace srf {
 inline constexpr std::size_t kMostSharers = 16;  ///< hits of a group
 
 /// More distant lights than this for each ray of a hit are asked after in clusters (light_clusters.h). About half of
-/// them stand below the horizon, and hits side by side ask after some 12 a ray: most of them, and of the others one
-/// beside them.
+/// them stand below the horizon, and hits side by side ask after some 6 a ray: the brightest of them, and beside
+/// the others.
 inline constexpr std::size_t kClustersOfARay = 32;
 
 /// Lights this near to each other, radians, throw one shadow: of one of them the other tells a hit more than its
@@ -58,9 +58,11 @@ class SharedShadowRays {
   std::vector<Alike> alike;         ///< hidden from a hit where the one of `each` is that they stand beside
 
   /// Chooses for a group of `sharers` hits with `most` rays each in the mean. `keys`: of each light, what it gives the
-  /// hits together; padded as largestKeys asks. `near`: those within kOneShadow. A quarter of the rays, rounded up, or
-  /// up to three where the light is strong, goes to lights that each hit asks after, and what those of the group's
-  /// quarter leave. A hit alone, or hits under at most `most` lights, ask after each for themselves.
+  /// hits together; padded for the kernels. `near`: those within kOneShadow. A quarter of the rays, rounded up, or
+  /// up to three where the light is strong, goes to lights that each hit asks after, half of the others to those of the
+  /// group's quarter, and what these leave to more that each asks after. Rays that groups share lie farther apart and
+  /// take longer: the other half is not sent. A hit alone, or hits under at most `most` lights, ask after each for
+  /// themselves.
   void choose(std::span<const float> keys, const LightClusters& lights, const NearClusters& near, unsigned quarter,
               std::size_t sharers, std::size_t most);
 
