@@ -43,6 +43,11 @@ void putCaptured(const AcquiredLights& list, std::uint32_t i, const Point<Acquis
   }
 }
 
+LightClusters clustersFor(std::span<const DistantLight> lights, std::size_t shadow_rays) {
+  return clusterLights(lights,
+                       lights.size() > kLightsOfARay * shadow_rays ? kClustersOfARay * shadow_rays : lights.size());
+}
+
 /// Of what a photograph's value at p stands for (normalSpread).
 double photographVariance(const Camera<AcquisitionSpace>& camera, const Fetch& fetch,
                           const Point<AcquisitionSpace>& p) {
@@ -91,7 +96,7 @@ GuidedLighting::GuidedLighting(const ReflectanceFit& fit, std::span<const std::u
       views_(views),
       list_of_view_(list_of_view),
       options_(options),
-      clusters_(clusterLights(lighting.lights().distant, kClustersOfARay * std::max(1, options.shadow_rays))),
+      clusters_(clustersFor(lighting.lights().distant, static_cast<std::size_t>(std::max(1, options.shadow_rays)))),
       near_clusters_(nearClusters(clusters_, kOneShadow)),
       distant_lanes_(paddedLanes(lighting.lights().distant.size())),
       cluster_lanes_(paddedLanes(clusters_.count())),

@@ -17,10 +17,9 @@ namespace srf {
 
 inline constexpr std::size_t kMostSharers = 16;  ///< hits of a group
 
-/// More distant lights than this for each ray of a hit are asked after in clusters (light_clusters.h). About half of
-/// them stand below the horizon, and hits side by side ask after some 6 a ray: the brightest of them, and beside
-/// the others.
-inline constexpr std::size_t kClustersOfARay = 32;
+/// More distant lights than the first for each ray of a hit are asked after in clusters (light_clusters.h), as many as
+/// the second says: about half of them stand below the horizon, and hits side by side ask after some 6 a ray.
+inline constexpr std::size_t kLightsOfARay = 32, kClustersOfARay = 16;
 
 /// Lights this near to each other, radians, throw one shadow: of one of them the other tells a hit more than its
 /// neighbours do.
