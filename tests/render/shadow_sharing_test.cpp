@@ -180,14 +180,9 @@ TEST(LightClusters, FewLightsAndLightsInOneDirectionAreNoCase) {
 }
 
 /// A sphere drawn out and bent to a horseshoe, whose arms shade each other, under a sky.
-class SharedShadowsTest : public ::testing::Test {
+class SharedShadowsTest : public test::FittedSphereTest {
  protected:
-  static void SetUpTestSuite() {
-    folder_ = std::make_unique<test::TemporaryFolder>();
-    field_ = std::make_unique<test::FormulaField>(test::makeSphereField(folder_->path() / "f.srf", {}, test::glossy));
-    fit_ = std::make_unique<ReflectanceFit>(test::fitOf(*field_, 1));
-  }
-  static void TearDownTestSuite() { fit_.reset(), field_.reset(), folder_.reset(); }
+  static void SetUpTestSuite() { setUp({}, test::glossy, 1); }
   static Camera<ObjectSpace> camera() {
     Camera<ObjectSpace> camera;
     camera.lens = pinholeFromFov(72, 72, 40);
@@ -231,14 +226,7 @@ class SharedShadowsTest : public ::testing::Test {
     }
     return std::sqrt(error / sum);
   }
-
-  static std::unique_ptr<test::TemporaryFolder> folder_;
-  static std::unique_ptr<test::FormulaField> field_;
-  static std::unique_ptr<ReflectanceFit> fit_;
 };
-std::unique_ptr<test::TemporaryFolder> SharedShadowsTest::folder_;
-std::unique_ptr<test::FormulaField> SharedShadowsTest::field_;
-std::unique_ptr<ReflectanceFit> SharedShadowsTest::fit_;
 
 TEST_F(SharedShadowsTest, AFewRaysAHitShowWhatARayToEveryLightDoes) {
   // Each for itself they leave three quarters of the error that none leaves.

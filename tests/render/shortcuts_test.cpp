@@ -18,21 +18,15 @@ std::string twist(double degrees_per_unit) {
   return R"({"type": "twist", "axis": [0,0,1], "degrees_per_unit": )" + std::to_string(degrees_per_unit) + "}";
 }
 
-class ShortcutsTest : public testing::Test {
+class ShortcutsTest : public test::FittedSphereTest {
  protected:
   static void SetUpTestSuite() {
-    folder_ = std::make_unique<test::TemporaryFolder>();
-    field_ = std::make_unique<test::FormulaField>(
-        test::makeSphereField(*folder_ / "x.srf", {.views = 16, .lights = 48, .size = 48, .subdivision = 4},
-                              [](const Vec3& p, const Vec3& l, const Vec3& v) {
-                                return std::max(0.0, dot(p, l)) * (Vec3{0.3, 0.2, 0.1} + 0.1 * (p + v));
-                              }));
-    fit_ = std::make_unique<ReflectanceFit>(test::fitOf(*field_, 0.8f));
-  }
-  static void TearDownTestSuite() {
-    fit_.reset();
-    field_.reset();
-    folder_.reset();
+    setUp(
+        {.views = 16, .lights = 48, .size = 48, .subdivision = 4},
+        [](const Vec3& p, const Vec3& l, const Vec3& v) {
+          return std::max(0.0, dot(p, l)) * (Vec3{0.3, 0.2, 0.1} + 0.1 * (p + v));
+        },
+        0.8f);
   }
   static FrameLights lights(int distant) {
     FrameLights lights;
@@ -75,14 +69,7 @@ class ShortcutsTest : public testing::Test {
     EXPECT_GT(brightest, 0.1);
     return most / brightest;
   }
-
-  static std::unique_ptr<test::TemporaryFolder> folder_;
-  static std::unique_ptr<test::FormulaField> field_;
-  static std::unique_ptr<ReflectanceFit> fit_;
 };
-std::unique_ptr<test::TemporaryFolder> ShortcutsTest::folder_;
-std::unique_ptr<test::FormulaField> ShortcutsTest::field_;
-std::unique_ptr<ReflectanceFit> ShortcutsTest::fit_;
 
 TEST_F(ShortcutsTest, OneVectorForARigidFrame) {
   for (const std::string& list : {std::string("[]"), "[" + std::string(kQuarterTurn) + "]"}) {
