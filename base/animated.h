@@ -78,6 +78,8 @@ Animated<double> readAnimatedNumber(const JsonNode& node);
 Animated<Vec3> readAnimatedVec3(const JsonNode& node);
 /// The same of at least 0 at every key; between them cubic keys may still pass below it.
 Animated<double> readAnimatedAmount(const JsonNode& node);
+/// That of `key`, or 1 where there is none: what scales a light.
+Animated<double> readAnimatedScale(const JsonNode& parent, std::string_view key);
 Animated<Vec3> readAnimatedAmounts(const JsonNode& node);
 
 }  // namespace srf

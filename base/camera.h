@@ -74,6 +74,8 @@ struct Camera {
   }
   const Point<Space>& center() const { return pose.origin(); }
   Direction<Space> forward() const { return pose.rotation() * Direction<CameraSpace>::fromUnit({0, 0, 1}); }
+  /// Along the camera's z axis.
+  double depthOf(const Point<Space>& p) const { return dot(forward(), p - center()); }
   /// From a surface point to the camera: v. Orthographic: the same everywhere.
   Direction<Space> viewDirection(const Point<Space>& p) const {
     if (lens.isOrthographic()) return -forward();

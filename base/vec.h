@@ -42,6 +42,10 @@ constexpr Vec3 operator*(double s, Vec3 a) {
 constexpr Vec3 operator/(const Vec3& a, double s) {
   return {a.x / s, a.y / s, a.z / s};
 }
+/// As files, kernels and pictures hold them.
+constexpr std::array<float, 3> floats(const Vec3& a) {
+  return {static_cast<float>(a.x), static_cast<float>(a.y), static_cast<float>(a.z)};
+}
 /// Component by component: products of colours.
 constexpr Vec3 operator*(const Vec3& a, const Vec3& b) {
   return {a.x * b.x, a.y * b.y, a.z * b.z};

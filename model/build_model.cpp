@@ -52,7 +52,7 @@ std::size_t surfelsForPixels(const AcquisitionMesh& mesh, const SrfManifest& fie
   const Point<AcquisitionSpace> center = mesh.bounds().center();
   std::vector<double> footprints;
   for (const StoredView& view : field.views) {
-    const double depth = dot(view.camera.forward(), center - view.camera.center());
+    const double depth = view.camera.depthOf(center);
     if (depth > 0 || view.camera.lens.isOrthographic()) footprints.push_back(view.camera.pixelFootprint(depth));
   }
   if (footprints.empty()) return kFewestSurfels;

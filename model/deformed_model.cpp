@@ -291,7 +291,7 @@ int DeformedModel::raysAcross(const Camera<ObjectSpace>& camera) const {
   std::vector<double> across;  // pixels in radii
   for (std::size_t i = 0; i < splats_.size(); i += splats_.size() / kSpacingSample + 1) {
     const Splat& splat = splats_[i];
-    const double depth = dot(camera.forward(), splat.p_star - camera.center());
+    const double depth = camera.depthOf(splat.p_star);
     const double radius = splat.radius * std::sqrt(length(cross(splat.tangents.u, splat.tangents.v)));
     const bool faces = dot(splat.outward, camera.viewDirection(splat.p_star).raw()) > 0;
     if (!faces || !(radius > 0) || !(depth > 0 || camera.lens.isOrthographic())) continue;

@@ -60,9 +60,6 @@ Direction<AcquisitionSpace> fromOctahedral(const std::int16_t (&at)[2]) {
   }
   return *normalize(Vector<AcquisitionSpace>(x, y, z));  // |x| + |y| + |z| is 1
 }
-std::array<float, 3> floats(const Vec3& v) {
-  return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)};
-}
 Vec3 vec(const std::array<float, 3>& v) {
   return {v[0], v[1], v[2]};
 }

@@ -144,8 +144,7 @@ LightLists::LightLists(const SrfManifest& field) {
 
 void PointSamples::load(const FitInput& input, std::size_t i, const Direction<AcquisitionSpace>& normal) {
   const Point<AcquisitionSpace>& p = input.model.p0[i];
-  const std::array<float, 3> n{static_cast<float>(normal.raw().x), static_cast<float>(normal.raw().y),
-                               static_cast<float>(normal.raw().z)};
+  const std::array<float, 3> n = floats(normal.raw());
   views_.clear();
   std::size_t used = 0;  // of lights_, whose memory stays
   samples_ = 0;
@@ -182,7 +181,7 @@ void PointSamples::load(const FitInput& input, std::size_t i, const Direction<Ac
     view.view = at.view;
     const Camera<AcquisitionSpace>& camera = input.field.views[at.view].camera;
     const Direction<AcquisitionSpace> direction = camera.viewDirection(p);
-    for (int c = 0; c < 3; ++c) view.direction[c] = static_cast<float>(direction.raw()[c]);
+    view.direction = floats(direction.raw());
     view.cosine = static_cast<float>(dot(normal, direction));
     if (const auto seen = camera.project(p)) {
       const double variance =

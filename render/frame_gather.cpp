@@ -80,8 +80,7 @@ void keepShaded(const Camera<ObjectSpace>& camera, const DeformableModel& model,
 
 /// Of the light that one sample of a pixel stands for (GuidedQuery::variance).
 double sampleVariance(const FramePlan& plan, const SurfaceHit& hit) {
-  const double depth = dot(plan.camera.forward(), hit.p_star - plan.camera.center());
-  const double size = plan.camera.pixelFootprint(depth);
+  const double size = plan.camera.pixelFootprint(plan.camera.depthOf(hit.p_star));
   return kPixelVariance * size * size / static_cast<double>(plan.pattern.size());
 }
 

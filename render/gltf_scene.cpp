@@ -55,7 +55,7 @@ FileLights::FileLights(const JsonNode& node, const std::filesystem::path& folder
   gltf_ = open(node, folder);
   const std::string name = stringOr(node, "name");
   animation_ = gltf_->animation(stringOr(node, "animation"), where_ + "/animation");
-  scale_ = node.has("scale") ? readAnimatedAmount(node["scale"]) : Animated<double>(1.0);
+  scale_ = readAnimatedScale(node, "scale");
   if (!name.empty()) {
     nodes_ = {gltf_->lightNode(name, where_ + "/name")};
   } else {

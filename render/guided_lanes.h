@@ -5,14 +5,10 @@
 #include <cstddef>
 #include <vector>
 
-#include "base/vec.h"
 #include "render/guided_kernels.h"
 
 namespace srf {
 
-inline std::array<float, 3> floats(const Vec3& a) {
-  return {static_cast<float>(a.x), static_cast<float>(a.y), static_cast<float>(a.z)};
-}
 inline float dot3(const std::array<float, 3>& a, float x, float y, float z) {
   return a[0] * x + a[1] * y + a[2] * z;
 }

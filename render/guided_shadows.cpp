@@ -7,12 +7,14 @@
 #include "render/cast_shadows.h"
 #include "render/guided_interpolation.h"
 #include "render/guided_lanes.h"
+#include "render/pixel_rays.h"
 
 namespace srf {
 namespace {
 
 constexpr std::size_t kRaysAtOnce = 1024;
-constexpr int kCellsAlong = 16;  // a power of 2: of a block of pixels, whose cells are whole pixels
+constexpr int kCellsAlong = kPixelBlock;  // whose cells are whole pixels
+static_assert((kCellsAlong & (kCellsAlong - 1)) == 0);
 // Hits tell each other what is hidden where the surface between them is flat to this share of their distance, and their
 // normals agree to this cosine.
 constexpr double kFlat = 0.25;

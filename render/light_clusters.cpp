@@ -13,27 +13,20 @@ double energyOf(const DistantLight& light) {
   return light.irradiance.x + light.irradiance.y + light.irradiance.z;
 }
 
-/// The box about the directions of lights first .. end - 1.
-struct LightBox {
+/// Lights first .. end - 1, to be cut in two at the middle of the longest side of the box about their directions.
+struct LightCut {
   std::size_t first, end;
-  int axis = 0;  ///< of its longest side
+  int axis;
   double length, middle;
+
+  LightCut(std::span<const DistantLight> lights, std::size_t from, std::size_t to) : first(from), end(to) {
+    const DirectionBox box = directionBox(lights.subspan(from, to - from));
+    axis = box.longest;
+    length = box.high[axis] - box.low[axis];
+    middle = 0.5 * (box.low[axis] + box.high[axis]);
+  }
   bool before(const DistantLight& light) const { return light.direction.raw()[axis] < middle; }
 };
-LightBox boxOf(std::span<const DistantLight> lights, std::size_t first, std::size_t end) {
-  LightBox box{first, end};
-  Vec3 low = lights[first].direction.raw(), high = low;
-  for (std::size_t i = first; i < end; ++i)
-    for (int axis = 0; axis < 3; ++axis) {
-      const double at = lights[i].direction.raw()[axis];
-      low[axis] = std::min(low[axis], at), high[axis] = std::max(high[axis], at);
-    }
-  for (int axis = 1; axis < 3; ++axis)
-    if (high[axis] - low[axis] > high[box.axis] - low[box.axis]) box.axis = axis;
-  box.length = high[box.axis] - low[box.axis];
-  box.middle = 0.5 * (low[box.axis] + high[box.axis]);
-  return box;
-}
 
 }  // namespace
 
@@ -43,7 +36,7 @@ void orderByDirection(std::vector<DistantLight>& lights) {
     const auto [first, end] = parts.back();
     parts.pop_back();
     if (end - first < 2) continue;
-    const LightBox box = boxOf(lights, first, end);
+    const LightCut box(lights, first, end);
     const auto begin = lights.begin();
     const auto cut =
         std::stable_partition(begin + static_cast<std::ptrdiff_t>(first), begin + static_cast<std::ptrdiff_t>(end),
@@ -58,7 +51,7 @@ void orderByDirection(std::vector<DistantLight>& lights) {
 LightClusters clusterLights(std::span<const DistantLight> lights, std::size_t most) {
   LightClusters result;
   struct Part {
-    LightBox box;
+    LightCut box;
     double worth;
     bool operator<(const Part& other) const {
       return worth != other.worth ? worth < other.worth : box.first > other.box.first;
@@ -66,7 +59,7 @@ LightClusters clusterLights(std::span<const DistantLight> lights, std::size_t mo
   };
   std::priority_queue<Part> parts;
   const auto add = [&](std::size_t first, std::size_t end) {
-    const LightBox box = boxOf(lights, first, end);
+    const LightCut box(lights, first, end);
     double energy = 0;
     for (std::size_t i = first; i < end; ++i) energy += energyOf(lights[i]);
     parts.push({box, energy * box.length});
@@ -76,7 +69,7 @@ LightClusters clusterLights(std::span<const DistantLight> lights, std::size_t mo
   } else {
     add(0, lights.size());
     while (parts.size() < most && parts.top().worth > 0) {
-      const LightBox box = parts.top().box;
+      const LightCut box = parts.top().box;
       const auto part = lights.subspan(box.first, box.end - box.first);
       const auto cut = std::find_if_not(part.begin(), part.end(), [&](const auto& light) { return box.before(light); });
       const std::size_t at = box.first + static_cast<std::size_t>(cut - part.begin());

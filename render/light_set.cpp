@@ -177,15 +177,7 @@ ImageF divided(const ImageF& map, int across, int down) {
 void orderOnSphere(std::span<DistantLight> lights) {
   constexpr std::size_t kAtOnce = 8;
   if (lights.size() <= kAtOnce) return;
-  Vec3 low = lights[0].direction.raw(), high = low;
-  for (const DistantLight& light : lights)
-    for (int k = 0; k < 3; ++k) {
-      low[k] = std::min(low[k], light.direction.raw()[k]);
-      high[k] = std::max(high[k], light.direction.raw()[k]);
-    }
-  int axis = 0;
-  for (int k = 1; k < 3; ++k)
-    if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
+  const int axis = directionBox(lights).longest;
   const std::size_t half = (lights.size() / 2 + kAtOnce - 1) / kAtOnce * kAtOnce;
   if (half >= lights.size()) return;
   std::stable_sort(lights.begin(), lights.end(), [axis](const DistantLight& a, const DistantLight& b) {
@@ -196,6 +188,19 @@ void orderOnSphere(std::span<DistantLight> lights) {
 }
 
 }  // namespace
+
+DirectionBox directionBox(std::span<const DistantLight> lights) {
+  DirectionBox box{lights[0].direction.raw(), lights[0].direction.raw()};
+  auto& [low, high, longest] = box;
+  for (const DistantLight& light : lights)
+    for (int k = 0; k < 3; ++k) {
+      low[k] = std::min(low[k], light.direction.raw()[k]);
+      high[k] = std::max(high[k], light.direction.raw()[k]);
+    }
+  for (int k = 1; k < 3; ++k)
+    if (high[k] - low[k] > high[longest] - low[longest]) longest = k;
+  return box;
+}
 
 std::size_t mostEnvironmentLights(int width, int height) {
   return static_cast<std::size_t>(width) * dividedInto(width, kLeastWidth) * height *

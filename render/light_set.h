@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <span>
 #include <vector>
 
 #include "base/image.h"
@@ -33,6 +34,13 @@ struct FrameLights {
   std::vector<NearLight> near_lights;
   std::vector<RestLight> rest;
 };
+
+/// The box about the directions of lights, of which there are some, whose longest side tells where to part them.
+struct DirectionBox {
+  Vec3 low, high;
+  int longest = 0;
+};
+DirectionBox directionBox(std::span<const DistantLight> lights);
 
 /// An environment map reduced to N distant lights: each cell of a partition of the sphere gives its integrated energy
 /// at its energy centroid (theory: a value at the cell's direction fails on small bright sources). Sum of irradiances =

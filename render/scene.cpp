@@ -49,12 +49,6 @@ Animated<double> readNumberWithin(const JsonNode& node, double least, double mos
   return value;
 }
 
-/// A light's `scale`.
-Animated<double> scaleOf(const JsonNode& light) {
-  const auto node = light.find("scale");
-  return node ? readAnimatedAmount(*node) : Animated<double>(1);
-}
-
 SceneCamera readCamera(const JsonNode& node, const std::filesystem::path& folder) {
   std::string forms;
   for (const char* form : {"look_at", "transform_matrix", "gltf"}) {
@@ -106,7 +100,7 @@ SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) 
       EnvironmentLight light;
       light.map = existingFile(node["map"], folder);
       light.rotation = node.has("rotation") ? readAnimatedNumber(node["rotation"]) : Animated<double>(0);
-      light.scale = scaleOf(node);
+      light.scale = readAnimatedScale(node, "scale");
       if (const auto samples = node.find("samples")) light.samples = static_cast<int>(samples->integer(0, 1000000));
       return light;
     }
@@ -114,7 +108,7 @@ SceneLight readLight(const JsonNode& node, const std::filesystem::path& folder) 
       return FileLights(node, folder);
     default:
       node.onlyKeys({"type", "light", "scale"});
-      return CapturedLight{node.has("light") ? node["light"].string() : "", scaleOf(node)};
+      return CapturedLight{node.has("light") ? node["light"].string() : "", readAnimatedScale(node, "scale")};
   }
 }
 
