@@ -210,8 +210,8 @@ FrameRenderer::State::State(const std::filesystem::path& srf_folder, const SrfMa
 
 namespace {
 
-FrameLights inOrder(FrameLights lights, bool guided) {
-  if (guided) orderByDirection(lights.distant);
+FrameLights orderedByDirection(FrameLights lights) {
+  orderByDirection(lights.distant);
   return lights;
 }
 
@@ -226,8 +226,9 @@ FramePlan::FramePlan(FrameRenderer::State& state, const Camera<ObjectSpace>& fra
       shading(pattern.size() == 1 ? state.settings.accuracy.shading : Shading::every),
       support_step(supportStep(camera.lens.width, camera.lens.height)),
       cover(effects.lens || effects.ground ? ScreenCover() : ScreenCover(frame_camera, deformed_model)),
-      lights(inOrder(frame_lights, state.settings.fit)),
-      lighting(lights, state.lists, lightingOptions(state, deformed_model, frame_lights)) {
+      ordered(state.settings.fit ? orderedByDirection(frame_lights) : FrameLights()),
+      lighting(state.settings.fit ? ordered : frame_lights, state.lists,
+               lightingOptions(state, deformed_model, frame_lights)) {
   for (std::size_t v = 0; v < state.stores.size(); ++v)
     allowed.push_back(state.stores[v] && lighting.serves(state.list_of_view[v]));
   state.shared.prepare(lighting);

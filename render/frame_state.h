@@ -114,7 +114,7 @@ struct FramePlan {
   Shading shading;               ///< Accuracy::shading of one sample a pixel; of several every one is shaded
   int support_step;              ///< supportStep
   ScreenCover cover;
-  FrameLights lights;  ///< where the model guides, distant ones ordered by direction
+  FrameLights ordered;  ///< where the model guides: the frame's, distant ones ordered by direction
   FrameLighting lighting;
   std::optional<GuidedLighting> guided;  ///< none where nothing guides
   std::optional<CastShadows> cast;       ///< plain interpolation with shadows by rays

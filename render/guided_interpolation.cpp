@@ -51,7 +51,7 @@ LightClusters clustersFor(std::span<const DistantLight> lights, std::size_t shad
 /// Of what a photograph's value at p stands for (normalSpread).
 double photographVariance(const Camera<AcquisitionSpace>& camera, const Fetch& fetch,
                           const Point<AcquisitionSpace>& p) {
-  const double size = camera.pixelFootprint(dot(camera.forward(), p - camera.center())) * (1 << fetch.level);
+  const double size = camera.pixelFootprint(camera.depthOf(p)) * (1 << fetch.level);
   const auto [first, right, below, last] = fetch.tap;
   const float sum = first + right + below + last;
   if (!(sum > 0)) return kPixelVariance * size * size;
@@ -97,7 +97,9 @@ GuidedLighting::GuidedLighting(const ReflectanceFit& fit, std::span<const std::u
       list_of_view_(list_of_view),
       options_(options),
       clusters_(clustersFor(lighting.lights().distant, static_cast<std::size_t>(std::max(1, options.shadow_rays)))),
-      near_clusters_(nearClusters(clusters_, kOneShadow)),
+      near_clusters_(clusters_.count() > static_cast<std::size_t>(options.shadow_rays)
+                         ? nearClusters(clusters_, kOneShadow)
+                         : NearClusters()),
       distant_lanes_(paddedLanes(lighting.lights().distant.size())),
       cluster_lanes_(paddedLanes(clusters_.count())),
       near_lanes_(paddedLanes(lighting.lights().near_lights.size())),

@@ -215,7 +215,7 @@ class GuidedLighting {
   std::array<std::vector<float>, 3> irradiance_, direction_;  ///< of each distant light, object space
   std::vector<float> energy_;                                 ///< of each distant light
   LightClusters clusters_;                                    ///< of the distant lights, for shadow rays
-  NearClusters near_clusters_;                                ///< that throw one shadow
+  NearClusters near_clusters_;                                ///< that throw one shadow; none where all have rays
   std::size_t distant_lanes_, cluster_lanes_, near_lanes_;    ///< lights of the frame, padded for the kernels
   double offset_;                                             ///< of shadow rays along the normal, units
 };
